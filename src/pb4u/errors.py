@@ -7,9 +7,21 @@ import warnings
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
+from pathlib import Path
 
-_LISTED = 20
-"""Names that a refusal lists at most: a line or two; the catalogue of scenes has thousands."""
+_LISTED, _FEW = 20, 8
+"""Names that a refusal lists at most, a line or two, and beside near ones: the catalogue of scenes has thousands."""
+
+
+_ALIASES = {"female": "woman", "male": "man", "pants": "trousers", "jeans": "trousers", "jacket": "cardigan"}
+"""What users call things -> what they are called here."""
+
+_ELSEWHERE = {
+    ("fbx",): "FBX is not read; import it in Blender and export glTF of a body, OBJ of a garment, BVH of a motion",
+    ("mp4", "mov", "avi", "mkv", "webm", "png", "jpg", "jpeg"): "pictures and videos are not read; give the poses that "
+    "GVHMR, WHAM or TRAM find in a video, or the body that SAM 3D Body finds in pictures",
+}
+"""Suffixes of files that programs before pb4u read -> what to do with them."""
 
 
 class Pb4uError(Exception):
@@ -132,10 +144,26 @@ def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") ->
         where: section that holds things of the kind, such as "[scene]".
     """
     names = list(known)
-    near = get_close_matches(name.lower(), names, n=3, cutoff=0.5)
+    alias = _ALIASES.get(name.lower())
+    near = [alias] if alias in names else get_close_matches(name.lower(), names, n=3, cutoff=0.6)
     rest = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(names[:_LISTED])}{rest}."
+    hint = f"there are {', '.join(names[:_LISTED])}{rest}."
+    if near:
+        hint = f"did you mean {' or '.join(near)}?" + (f" T{hint[1:]}" if len(names) <= _FEW else "")
     return InputError(f"{f'{where} has' if where else 'There is'} no {kind} {name!r}; {hint}")
+
+
+def unread_kind(path: Path, kind: str, suffixes: Iterable[str]) -> InputError:
+    """Error for a file of a kind that is not read, with what to do where another program's is given.
+
+    Args:
+        path: the file.
+        kind: what it was given for, such as "motion".
+        suffixes: of the kinds that are read.
+    """
+    suffix = path.suffix.lower().removeprefix(".")
+    hint = next((f" {told[:1].upper()}{told[1:]}." for known, told in _ELSEWHERE.items() if suffix in known), "")
+    return InputError(f"{path} is of no kind of {kind} file that is read; those end in {', '.join(suffixes)}.{hint}")
 
 
 def refuse_unknown(kind: str, names: Iterable[str], known: Collection[str], where: str = "") -> None:

@@ -64,13 +64,13 @@ class WornGarment:
         material: Built-in material (`pb4u assets`), a JSON file in SI units or a Material. Default: the garment's own,
             or "default".
         pins: Vertices that follow the body: none, waist (highest border), collar (uppermost 4 cm of a border), hem
-            (lowest border), loop:N (border with the N-th most vertices), a file of indices or a list. Default: the
-            garment's own.
+            (lowest border), loop:N (of the borders by their vertices, loop:0 the one with the most), a file of indices
+            or a list. Default: the garment's own.
         triangles: Triangles to simulate. Default: the file's own, or 2,500 of a built-in garment.
         texture: Image laid on the garment by its UVs, or from front and back where it has none. Default: the images
             and colours of its own file (OBJ with MTL, glTF).
         tacks: Pairs A:B of vertices that are sewn together, counted from 0 in the author's mesh.
-        tucked: Whether it goes into what is worn from the waist, such as trousers, wherever it stands in the order.
+        tucked: Whether it is tucked into the trousers or the skirt, wherever it stands in the order.
 
     Raises:
         InputError: a value of a wrong type or out of range.

@@ -357,6 +357,34 @@ def test_a_number_out_of_range_is_refused_whatever_the_model(
     assert says in ended.err
 
 
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (("tshirt",), "give it as --garment tshirt."),
+        (("shirt.obj",), "give it as --garment shirt.obj."),
+        (("clip.npz",), "pb4u view clip.npz plays it"),
+        (("--motion", "clip.mp4"), "GVHMR, WHAM or TRAM"),
+        (("--body", "figure.fbx"), "import it in Blender"),
+        (("--garment", "shirt.fbx"), "import it in Blender"),
+        (("--garment", "pants"), "did you mean trousers"),
+        (("--body", "female"), "did you mean woman"),
+        (("--body", "smpl"), "give the file of the model"),
+        (("--material", "polyester"), "There are default, cotton"),
+        (("--recorded-fps", 60), "was not recorded; leave out"),
+        (("--texture", "clip.mp4"), "is no image"),
+    ],
+)
+def test_what_was_meant_is_told(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: tuple, says: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("shirt.obj", "clip.npz", "clip.mp4", "figure.fbx", "shirt.fbx"):
+        Path(name).write_text("no such thing")
+    ended = pb4u("simulate", *given)
+    assert ended.code == 1
+    assert says in ended.err
+
+
 def test_shape_parameters_add_up_and_none_is_given_twice(pb4u: Callable, tmp_path: Path) -> None:
     out = tmp_path / "a.npz"
     flags = ("simulate", *SMALL, "--frames", 1, "--out", out)

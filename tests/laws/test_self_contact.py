@@ -176,7 +176,7 @@ def test_pair_stiffness_is_the_derivative_of_the_force_along_the_normal() -> Non
 
 
 def test_friction_stiffness_is_the_derivative_of_its_force(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pb4u.physics.terms.cloth_contact._SOFTENING", 1.0)
+    monkeypatch.setattr("pb4u.physics.terms.cloth_contact.SOFTENING", 1.0)
     step, x = touching(4)
     at = fixed(step, x)
     # Slips of the smoothing's length, where the law bends.

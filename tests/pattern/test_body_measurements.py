@@ -27,7 +27,7 @@ def test_a_body_has_the_26_measures_of_garmentcode(name: str):
     # What lies across the back is about half of the girth.
     for part, whole in (("waist_back_width", "waist"), ("hip_back_width", "hips"), ("back_width", "bust")):
         assert 0.4 < measures[part] / measures[whole] < 0.6
-    text = measurements_yaml(body)
+    text = measurements_yaml(body_measurements(body))
     assert text.startswith("body:\n  arm_length: ")
     assert text.count("\n") == 27
 

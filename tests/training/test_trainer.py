@@ -283,9 +283,9 @@ def test_a_rollback_before_the_first_checkpoint_keeps_the_statistics(monkeypatch
     monkeypatch.setattr(Trainer, "train_round", lambda self: next(ends, None) or original(self))
     assert trainer.run() == "finished"
     assert trainer.counters.rollbacks == 1
-    for name, value in trainer.model.named_buffers():
-        if name.endswith("frozen"):
-            assert bool(value), name
+    frozen = {name: bool(value) for name, value in trainer.model.named_buffers() if name.endswith("frozen")}
+    assert frozen
+    assert all(frozen.values()), frozen
 
 
 def test_a_round_takes_no_more_steps_than_are_left() -> None:

@@ -11,9 +11,9 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
 from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputError
+from pb4u.garment.cuts import CUTS
 from pb4u.garment.garment import Garment
 from pb4u.garment.library import build_garment
-from pb4u.garment.patterns import PATTERNS
 from pb4u.training import variation
 from pb4u.training.collection import collect
 from pb4u.training.configuration import DataSelection
@@ -33,17 +33,17 @@ def _lengths(garment: Garment) -> np.ndarray:
 
 
 def test_cuts_differ_by_seed_and_keep_their_kind() -> None:
-    for name, pattern in PATTERNS.items():
-        cuts = [varied_cut(pattern, np.random.default_rng(seed)) for seed in (0, 0, *range(1, 30))]
+    for name, standard in CUTS.items():
+        cuts = [varied_cut(standard, np.random.default_rng(seed)) for seed in (0, 0, *range(1, 30))]
         assert cuts[0] == cuts[1]
         assert len(set(cuts)) == 30
         assert {(cut.top, cut.hem, cut.legs, cut.loose, cut.sleeve > 0.0) for cut in cuts} == {
-            (pattern.top, pattern.hem, pattern.legs, pattern.loose, pattern.sleeve > 0.0)
+            (standard.top, standard.hem, standard.legs, standard.loose, standard.sleeve > 0.0)
         }
         hems = [cut.hem_offset for cut in cuts]
         assert max(hems) - min(hems) > 0.08, name
-        if pattern.top == "waist":
-            assert {cut.ease[:2] for cut in cuts} == {pattern.ease[:2]}
+        if standard.top == "waist":
+            assert {cut.ease[:2] for cut in cuts} == {standard.ease[:2]}
 
 
 @pytest.mark.parametrize("name", ["tanktop", "cardigan", "skirt"])
@@ -61,7 +61,7 @@ def test_a_cut_that_cannot_be_worn_is_left_for_the_standard_one(
     woman: ShapedBody, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Without straps it is a tube, which nothing holds up.
-    monkeypatch.setattr(variation, "varied_cut", lambda pattern, rng: replace(pattern, strap=0.003))
+    monkeypatch.setattr(variation, "varied_cut", lambda cut, rng: replace(cut, strap=0.003))
     made = varied_garment("tanktop", woman, 400, np.random.default_rng(0))
     assert np.array_equal(made.vertices, build_garment("tanktop", woman, 400).vertices)
 

@@ -21,7 +21,7 @@ from pb4u.body.character_bones import (
 )
 from pb4u.body.character_surface import CharacterSurface
 from pb4u.body.contact_region import reachable
-from pb4u.body.skeleton import Skeleton, branch
+from pb4u.body.skeleton import Skeleton, hand_bones
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.geometry.topology import Topology
@@ -42,7 +42,6 @@ _MOST_TRIANGLES = 1_000_000
 # Rays with which it is seen whether cloth can reach a vertex: a tenth of a millisecond each vertex.
 _RAYS = 32
 _OTHER_SIDE = re.compile("left|right")
-_HANDS = ("left_wrist", "right_wrist")
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +132,8 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
     heads = binds[:, :3, 3]
     names, parents, heads, bone_nodes, binds = completed_bones(names, parents, heads, ranked, binds, surface.vertices)
     skinning = SkinningWeights(surface.bones, surface.weights.astype(np.float32))
-    hands = branch(parents, [k for k, name in enumerate(names) if name in _HANDS])
-    contact = reachable(surface.vertices, surface.faces, skinning.share_of(hands) <= 0.5, _RAYS)
+    of_hand = skinning.share_of(hand_bones(names, parents))
+    contact = reachable(surface.vertices, surface.faces, of_hand <= 0.5, _RAYS)
     morphs = _morphs(chosen, places, world, welded)
     if "pelvis" not in names:
         notes.append(

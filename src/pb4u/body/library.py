@@ -15,7 +15,7 @@ from pb4u.body.sam3d_body import VERTICES, is_sam3d_folder
 from pb4u.body.sequence_files import SUFFIXES, load_vertex_sequence
 from pb4u.body.smpl import SmplBody
 from pb4u.body.vertex_sequence import VertexSequence
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, unknown_name, unread_kind
 from pb4u.io.array_archive import member_names
 from pb4u.io.gltf_file import SUFFIXES as GLTF_SUFFIXES
 from pb4u.io.restricted_pickle import load_pickle
@@ -131,12 +131,14 @@ def _built_in(name: str, shape: tuple[tuple[str, float], ...]) -> ShapedBody:
 def _read(path: Path) -> BodyModel | VertexSequence:
     suffix, names = path.suffix.lower(), (*BUILT_IN, *_MODELS)
     if suffix and suffix not in file_suffixes() and not path.is_dir():
-        raise InputError(f"{path} is of no kind of body file that is read; those end in {', '.join(file_suffixes())}.")
+        raise unread_kind(path, "body", file_suffixes())
     if not path.exists():
         if suffix or path.name != str(path):
             raise InputError(
                 f'There is no body file "{path}"; check the path, or use one of the names {", ".join(names)}.'
             )
+        if path.name.lower().startswith("smpl"):
+            raise InputError(f'There is no body "{path}"; give the file of the model, which its authors hand out.')
         raise unknown_name("body", str(path), names)
     suffix = _FOLDER if path.is_dir() else suffix
     members: set[str] = set()

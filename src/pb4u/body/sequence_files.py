@@ -53,37 +53,35 @@ def write_vertex_sequence(
         replace_file(Path(path), buffer.getvalue())
 
 
-def load_vertex_sequence(path: str | Path, fps: float | None = None) -> VertexSequence:
+def load_vertex_sequence(path: str | Path) -> VertexSequence:
     """Read an .npz, a folder of OBJ or PLY files, or an OBJ with a .pc2 or .mdd point cache of the same name.
 
     Warns where the body is not closed, leaps, or seems to be Z up.
 
     Args:
-        path: the file or folder; of an OBJ and its cache, either.
-        fps: frames per second of the file, over what the file says; 30 where neither gives any.
+        path: the file or folder; of an OBJ and its cache, either. It plays at 30 frames per second where it names none.
 
     Raises:
         InputError: the file cannot be used.
     """
     path = Path(path)
     contact: np.ndarray | None = None
-    file_fps: float | None = None
+    fps: float | None = None
     if path.is_dir():
         vertices, faces = _read_folder(path)
     elif path.suffix.lower() == ".pkl":
         vertices, faces = _read_pickle(path)
     elif path.suffix.lower() == ".npz":
-        vertices, faces, file_fps, contact = _read_npz(path)
+        vertices, faces, fps, contact = _read_npz(path)
     elif path.suffix.lower() in SUFFIXES:
-        vertices, faces, file_fps = _read_mesh_and_cache(path)
+        vertices, faces, fps = _read_mesh_and_cache(path)
     else:
         raise InputError(
             f"{path}: a moving body is an .npz, a folder of OBJ or PLY files, or an OBJ with a {' or '.join(_CACHES)} "
             "beside it."
         )
     vertices, faces = require_usable(path, vertices, faces)
-    stored_fps = next((rate for rate in (fps, file_fps) if rate is not None), DEFAULT_FPS)
-    sequence = VertexSequence(path.stem, vertices, faces, stored_fps, contact)
+    sequence = VertexSequence(path.stem, vertices, faces, DEFAULT_FPS if fps is None else fps, contact)
     warn_of_oddities(path, sequence)
     return sequence
 

@@ -9,6 +9,8 @@ import numpy as np
 
 from pb4u.geometry.rotation import conjugate, multiply, rotate
 
+_WRISTS = ("wrist.L", "wrist.R", "left_wrist", "right_wrist")
+
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
@@ -72,6 +74,16 @@ def branch(parents: Sequence[int] | np.ndarray, tops: Collection[int]) -> np.nda
     for bone, parent in enumerate(parents):
         below[bone] = bone in tops or (parent >= 0 and below[parent])
     return below
+
+
+def hand_bones(names: Sequence[str], parents: Sequence[int] | np.ndarray) -> np.ndarray:
+    """Mask (bones,) bool of the hands: both wrists, as Anny and the SMPL family name them, and all that hangs on them.
+
+    Args:
+        names: (bones,) name of each.
+        parents: (bones,) index of each parent, before the bone itself; -1 for a root.
+    """
+    return branch(parents, [bone for bone, name in enumerate(names) if name in _WRISTS])
 
 
 def world_rotations(local: np.ndarray, parents: np.ndarray) -> np.ndarray:

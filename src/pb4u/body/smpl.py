@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pb4u.body.body_model import BodyModel
+from pb4u.body.skeleton import hand_bones
 from pb4u.body.skinning import strongest_influences
 from pb4u.errors import InputError
 from pb4u.io.array_archive import read_arrays
@@ -41,7 +42,6 @@ JOINT_NAMES: Mapping[str, tuple[str, ...]] = {
     "smplh": (*_BODY_JOINTS, *_FINGERS),
     "smplx": (*_BODY_JOINTS, "jaw", "left_eye_smplhf", "right_eye_smplhf", *_FINGERS),
 }
-_HAND_JOINTS = {"left_wrist", "right_wrist", "left_hand", "right_hand", *_FINGERS}
 # Bones that move one vertex at most, which bounds the cost of skinning; the others' shares go to these.
 _MAX_INFLUENCES = 8
 _OMITTED_TYPE = 2
@@ -98,8 +98,7 @@ class SmplBody(BodyModel):
             raise InputError(f'{path}: "weights" has negative or empty rows; download the model again.')
         self.weights = strongest_influences(np.broadcast_to(np.arange(joints), weights.shape), weights, _MAX_INFLUENCES)
         self.faces = arrays["f"].astype(np.int64)
-        of_hand = np.array([name in _HAND_JOINTS for name in self.bone_names])
-        self.contact = self.weights.share_of(of_hand) <= 0.5
+        self.contact = self.weights.share_of(hand_bones(self.bone_names, self.bone_parents)) <= 0.5
 
     @property
     def shape_parameters(self) -> Mapping[str, tuple[float, float, float]]:

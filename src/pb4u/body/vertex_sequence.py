@@ -42,8 +42,6 @@ class VertexSequence(AnimatedBody):
         stored_fps: frames per second of `vertices`.
         contact: (vertices,) bool, False where contact is not answered and penetration not counted; all True when not
             given.
-        fps: frames per second to play at, `stored_fps` when not given.
-        held_start: frames for which the first one is held before the motion begins.
 
     Raises:
         InputError: `stored_fps` is not a positive number.
@@ -56,8 +54,6 @@ class VertexSequence(AnimatedBody):
         faces: np.ndarray,
         stored_fps: float = DEFAULT_FPS,
         contact: np.ndarray | None = None,
-        fps: float | None = None,
-        held_start: int = 0,
     ) -> None:
         if not (np.isfinite(stored_fps) and stored_fps > 0):
             raise InputError(f"{name}: {stored_fps:g} frames per second; give a positive frame rate.")
@@ -65,8 +61,9 @@ class VertexSequence(AnimatedBody):
         self.vertices = vertices
         self.faces = faces
         self.stored_fps = float(stored_fps)
-        self.fps = self.stored_fps if fps is None else float(fps)
-        self.held_start = held_start
+        self.fps = self.stored_fps
+        #: Frames for which the first one is held before the motion begins.
+        self.held_start = 0
         self.contact = np.ones(vertices.shape[1], dtype=bool) if contact is None else contact
         self.rest_vertices = np.asarray(vertices[0], dtype=np.float64)
         #: Whether it was estimated from a video, frame by frame, and trembles.

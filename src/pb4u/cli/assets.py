@@ -164,8 +164,7 @@ def write(
     kind, mesh = "body", PolygonMesh(figure.vertices, tuple(figure.faces))
     if name in garment_names():
         garment = build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
-        uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
-        kind, mesh = "garment", PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
+        kind, mesh = "garment", garment.mesh
     write_obj(out, mesh)
     told = {"name": name, "kind": kind, "out": str(out), "body": figure.name, "vertices": len(mesh.vertices)}
     tell({**told, "triangles": len(mesh.polygons)}, json, f"Wrote {out}")

@@ -27,7 +27,7 @@ def check(
         str | None,
         typer.Argument(
             metavar="GARMENT",
-            help="Built-in garment, mesh file or FILE.pkl:NAME of a dictionary; the same as --garment.",
+            help="Built-in garment, mesh file, sewing pattern or FILE.pkl:NAME of a dictionary; the same as --garment.",
             show_default=False,
         ),
     ] = None,
@@ -35,8 +35,8 @@ def check(
         list[str] | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="Built-in garment, mesh file or FILE.pkl:NAME of a dictionary. Repeatable, inner first: then also "
-            "where they cross each other.",
+            help="Built-in garment, mesh file, sewing pattern or FILE.pkl:NAME of a dictionary. Repeatable, inner "
+            "first: then also where they cross each other.",
         ),
     ] = None,
     body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body that is to wear it.")] = "woman",

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from pb4u.cli.console import BodyShape, ShapeFlag, keep_inputs, say
+from pb4u.cli.console import BodyShape, JsonFlag, ShapeFlag, check_json_target, keep_inputs, tell
+from pb4u.errors import InputError
 from pb4u.io.atomic_file import check_writable
 
 
@@ -15,6 +16,7 @@ def measure_body(
     out: Annotated[Path, typer.Option(metavar="FILE.yaml", help="GarmentCode body file to write.")],
     body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body to measure.")] = "woman",
     body_shape: ShapeFlag = None,
+    json: JsonFlag = None,
 ) -> None:
     """Measure a body for GarmentCode: 26 lengths and angles [cm, degrees].\f
 
@@ -23,13 +25,18 @@ def measure_body(
     Raises:
         InputError: the body has no bones, or a file cannot be read or written.
     """
-    keep_inputs([body], [("--out", out)])
+    if out.suffix.lower() not in (".yaml", ".yml"):
+        raise InputError(f"Measures are written as .yaml; {out} ends in something else.")
+    keep_inputs([body], [("--out", out), ("--json", json)])
     check_writable(out, "--out")
+    check_json_target(json)
 
     from pb4u.body.library import load_boned_body
     from pb4u.io.atomic_file import replace_file
-    from pb4u.pattern.body_measurements import measurements_yaml
+    from pb4u.pattern.body_measurements import body_measurements, measurements_yaml
 
     figure = load_boned_body(body, BodyShape.of(body_shape))
-    replace_file(out, measurements_yaml(figure).encode())
-    say(f"Wrote {out}, 26 measures of {figure.name}.")
+    measures = body_measurements(figure)
+    replace_file(out, measurements_yaml(measures).encode())
+    told = {"body": figure.name, "measures": measures, "out": str(out)}
+    tell(told, json, f"Wrote {out}, {len(measures)} measures of {figure.name}.")

@@ -34,7 +34,7 @@ class Outputs:
 
     out: Annotated[tuple[Path, ...], Flag(_PANEL, "FILE")] = ()
     json: Annotated[str | None, Flag(_PANEL, "FILE|-")] = None
-    measure: Annotated[Literal["excess"] | None, Flag(_PANEL)] = None
+    measure: Annotated[Literal["excess"] | None, Flag(_PANEL, "excess")] = None
     reference: Annotated[Path | None, Flag(_PANEL, "FILE.npz")] = None
     save_scene: Annotated[Path | None, Flag(_PANEL, "FILE")] = None
     live: Annotated[Path | None, Flag(_PANEL, "FOLDER")] = None

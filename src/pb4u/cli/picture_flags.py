@@ -35,8 +35,11 @@ PICTURE_FLAGS: Mapping[str, Any] = {
     "colour": _flag(
         list[str] | None,
         "Colour of the first garment in pictures, as a name or #RRGGBB; given again, of the next. Default: blue.",
+        "NAME|#RRGGBB",
     ),
-    "background": _flag(str | None, "Colour behind and below them, as a name or #RRGGBB. Default: light grey."),
+    "background": _flag(
+        str | None, "Colour behind and below them, as a name or #RRGGBB. Default: light grey.", "NAME|#RRGGBB"
+    ),
 }
 
 

@@ -66,8 +66,8 @@ TuckFlag: TypeAlias = Annotated[
     list[str] | None,
     typer.Option(
         metavar="NAME",
-        help="Garment of the scene that goes into what is worn from the waist, such as trousers, wherever it stands in "
-        "the order. Repeatable.",
+        help="Garment to tuck into the trousers or the skirt; its place in the order of --garment does not matter. "
+        "Repeatable.",
         rich_help_panel=GARMENT,
     ),
 ]

@@ -61,6 +61,8 @@ def simulate(
     Raises:
         InputError: the arguments contradict each other, or something they name is unknown or unusable.
     """
+    if scene is not None:
+        _refuse_garment(scene)
     run = run_of(Run() if scene is None else Run.open(scene), flags)
     _refuse_useless(str(run.model), flags)
     asked = Outputs(**given_values(Outputs, outputs))
@@ -76,6 +78,16 @@ def simulate(
         for target in baked or targets[:1]:
             check_bones(target, asked.bones)
     _simulate(run, asked, targets, view_of(targets, picture))
+
+
+def _refuse_garment(scene: Path) -> None:
+    """Refuse what is given in the place of a scene file and is none."""
+    from pb4u.garment.library import SEWN, garment_names
+    from pb4u.geometry.mesh_file import READERS
+
+    if str(scene) in garment_names() or (scene.suffix.lower() in (*READERS, *SEWN) and scene.suffix.lower() != ".toml"):
+        also = f"; pb4u view {scene} plays it if it is a trajectory" if scene.suffix.lower() == ".npz" else ""
+        raise InputError(f"{scene} is no scene file; if it is a garment, give it as --garment {scene}{also}.")
 
 
 def _refuse_useless(model: str, flags: Mapping[str, Any]) -> None:

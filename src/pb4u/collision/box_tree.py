@@ -70,6 +70,32 @@ class BoxTree(NamedTuple):
 
 
 @compiled
+def sort_along_widest(centres: np.ndarray, order: np.ndarray, first: int, stop: int) -> None:
+    """Sort the rows first..stop-1 of an order along the axis on which their centres lie furthest apart.
+
+    Args:
+        centres: (faces, 3) [m].
+        order: (faces,) int64, changed in place.
+        first: first row.
+        stop: row after the last.
+    """
+    rows = order[first:stop].copy()
+    widest, spread = 0, -1.0
+    for axis in range(3):
+        low, high = np.inf, -np.inf
+        for row in rows:
+            low, high = min(low, centres[row, axis]), max(high, centres[row, axis])
+        if high - low > spread:
+            widest, spread = axis, high - low
+    along = np.empty(len(rows))
+    for place in range(len(rows)):
+        along[place] = centres[rows[place], widest]
+    sorting = np.argsort(along, kind="mergesort")
+    for place in range(len(rows)):
+        order[first + place] = rows[sorting[place]]
+
+
+@compiled
 def _split(
     centres: np.ndarray, face_part: np.ndarray, order: np.ndarray, spans: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -103,20 +129,7 @@ def _split(
                     while face_part[order[cut - 1]] == middle:
                         cut -= 1
             else:
-                rows = order[first:stop].copy()
-                widest, spread = 0, -1.0
-                for axis in range(3):
-                    low, high = np.inf, -np.inf
-                    for row in rows:
-                        low, high = min(low, centres[row, axis]), max(high, centres[row, axis])
-                    if high - low > spread:
-                        widest, spread = axis, high - low
-                along = np.empty(len(rows))
-                for place in range(len(rows)):
-                    along[place] = centres[rows[place], widest]
-                sorting = np.argsort(along, kind="mergesort")
-                for place in range(len(rows)):
-                    order[first + place] = rows[sorting[place]]
+                sort_along_widest(centres, order, first, stop)
             for side in range(2):
                 children[node, side] = waiting[depth] = nodes
                 ranges[nodes, 0], ranges[nodes, 1] = (first, cut) if side == 0 else (cut, stop)

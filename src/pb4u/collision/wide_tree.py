@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pb4u.collision.box_tree import sort_along_widest
 from pb4u.collision.jit import compiled
 
 WIDTH = 8
@@ -76,7 +77,7 @@ def _ordered(centres: np.ndarray) -> np.ndarray:
 
     Faces are halved along the axis on which their centres lie furthest apart, so that the first half fills its nodes.
     """
-    order, along = np.arange(len(centres)), np.empty(len(centres))
+    order = np.arange(len(centres))
     waiting = np.empty((128, 2), dtype=np.int64)
     waiting[0, 0], waiting[0, 1] = 0, len(centres)
     depth = 1
@@ -88,19 +89,7 @@ def _ordered(centres: np.ndarray) -> np.ndarray:
         half = WIDTH
         while 2 * half < stop - first:
             half *= 2
-        widest, spread = 0, -1.0
-        for axis in range(3):
-            low, high = np.inf, -np.inf
-            for place in range(first, stop):
-                low, high = min(low, centres[order[place], axis]), max(high, centres[order[place], axis])
-            if high - low > spread:
-                widest, spread = axis, high - low
-        rows = order[first:stop].copy()
-        for place in range(len(rows)):
-            along[place] = centres[rows[place], widest]
-        sorting = np.argsort(along[: len(rows)], kind="mergesort")
-        for place in range(len(rows)):
-            order[first + place] = rows[sorting[place]]
+        sort_along_widest(centres, order, first, stop)
         waiting[depth, 0], waiting[depth, 1] = first, first + half
         waiting[depth + 1, 0], waiting[depth + 1, 1] = first + half, stop
         depth += 2

@@ -44,20 +44,13 @@ class StandingStart(FirstFrame):
         yield take(replace(step, collider=standing), method)
 
 
-@dataclass(frozen=True)
 class MovingStart(FirstFrame):
-    """MeshGraphNet and the HOOD of the paper: one long step from frame 1 to 2, after which the cloth is at rest.
-
-    Args:
-        push: factor on the push out of the body before it.
-    """
-
-    push: float = 1.0
+    """MeshGraphNet and the HOOD of the paper: one long step from frame 1 to 2, after which the cloth is at rest."""
 
     def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
         yield timeline.skinned_state(0)
         skinned = timeline.skinned(1)
-        pushed = pushed_out(skinned, timeline.pose(1), self.push)
+        pushed = pushed_out(skinned, timeline.pose(1), 1.0)
         begun = untangled(timeline, method, State(pushed, torch.zeros_like(skinned), 1))
         yield begun
         moved = take(replace(timeline.step_from(begun), dt=SETTLING_DT), method)

@@ -23,21 +23,18 @@ _SLOWEST = 0.002
 """Frames per second of a film at least: a GIF shows one for 655 s at most, and VP9 for 1000."""
 
 
-def write_still(
-    trajectory: Trajectory, path: Path, progress: Progress = no_progress, view: View | None = None, frames: int = 5
-) -> None:
-    """Write a PNG or JPEG strip.
+def write_still(trajectory: Trajectory, path: Path, progress: Progress = no_progress, view: View | None = None) -> None:
+    """Write a PNG or JPEG strip of five moments side by side, spread evenly over the clip.
 
     Args:
         trajectory: what is drawn.
         path: file to write; its suffix decides the format.
         progress: called with the moments drawn.
         view: camera, size and colours.
-        frames: moments side by side, spread evenly over the clip.
     """
     from PIL import Image
 
-    moments = np.unique(np.linspace(0, trajectory.frame_count - 1, frames).round().astype(int)).tolist()
+    moments = np.unique(np.linspace(0, trajectory.frame_count - 1, 5).round().astype(int)).tolist()
     strip = np.concatenate(list(_counted(render(trajectory, moments, view), len(moments), progress)), axis=1)
     # Through memory: Pillow writes a JPEG past a full disk without a word.
     encoded = io.BytesIO()

@@ -53,7 +53,7 @@ FORMATS = (
     Format((".npz",), "NPZ is exact and keeps velocities", "pb4u.export.registry:write_npz", finite=False),
     Format(
         (".obj",),
-        "OBJ is exact, one file a frame, the garment alone",
+        "OBJ is good to 0.5 µm, one file a frame, the garment alone",
         "pb4u.export.mesh_sequence:write_obj_sequence",
         files="pb4u.export.mesh_sequence:frame_files",
         stale="pb4u.export.mesh_sequence:later_frame_files",

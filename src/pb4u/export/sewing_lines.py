@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from pb4u.export.panels import SewnPanels, uv_islands
 from pb4u.export.shading import ClothPart, Colour, cloth_parts
-from pb4u.garment.patterns import PATTERNS
+from pb4u.garment.cuts import CUTS
 from pb4u.geometry.topology import Topology
 from pb4u.scene.trajectory import TrajectoryHeader
 
@@ -164,7 +164,7 @@ def _seams(header: TrajectoryHeader) -> Iterator[tuple[np.ndarray, np.ndarray, n
         return
     for k, garment in enumerate(header.garments):
         own = np.flatnonzero(np.asarray(header.vertex_garment)[faces[:, 0]] == k)
-        if garment.get("source") not in PATTERNS or not len(own):
+        if garment.get("source") not in CUTS or not len(own):
             continue
         panel = uv_islands(uv_faces[own])
         on_face = np.eye(panel.max() + 1)[panel]

@@ -294,6 +294,18 @@ class BodyForm:
         return np.array([0.0, y, float(z.max() if front else z.min())])
 
 
+def form_of(body: ShapedBody) -> BodyForm:
+    """The form of a body, made once and kept with it.
+
+    Args:
+        body: the resting body.
+
+    Raises:
+        InputError: its skeleton lacks the joints of shoulders, arms, hips or legs.
+    """
+    return body.kept("form", BodyForm)
+
+
 def _smooth_filled(values: np.ndarray, sigma: float) -> np.ndarray:
     """Fills NaN from the nearest values and smooths along the levels."""
     from scipy.ndimage import gaussian_filter1d

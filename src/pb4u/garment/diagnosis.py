@@ -150,9 +150,10 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
     findings = []
     if misfit > 0.6 * WORST_MISFIT:  # well under it there is nothing to look for
         findings = placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
-    if rest.is_closed:  # of one that is not, who loaded it was warned
+    placed = not findings  # elsewhere, depth and support are those of the wrong place
+    if placed and rest.is_closed:  # of one that is not, who loaded it was warned
         findings += penetration_findings(rest.signed_distances(garment.vertices), rest, mend)
-    if support is not None:
+    if placed and support is not None:
         source = garment.source
         names = None if source is None else cKDTree(source.source.vertices).query(garment.vertices)[1]
         findings += support_findings(garment.vertices, garment.faces, rest, support, names)

@@ -65,11 +65,7 @@ class SkinnedPlacement(Placement):
             start: first frame.
             stop: frame after the last.
         """
-        chunks = [
-            self.body.skin(self.worn, self.weights, first, min(first + _FRAME_CHUNK, stop))
-            for first in range(start, stop, _FRAME_CHUNK)
-        ]
-        return torch.cat(chunks) if chunks else torch.zeros(0, len(self.garment.vertices), 3)
+        return self.body.skin(self.worn, self.weights, start, stop)
 
 
 class AttachedPlacement(Placement):

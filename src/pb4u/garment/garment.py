@@ -146,6 +146,12 @@ class Garment:
         for name, array in checked.items():
             object.__setattr__(self, name, array)
 
+    @property
+    def mesh(self) -> PolygonMesh:
+        """The simulated mesh as it is written to a file, with its UV points and colours."""
+        uv_faces = None if self.uv_faces is None else tuple(self.uv_faces)
+        return PolygonMesh(self.vertices, tuple(self.faces), self.uvs, uv_faces, self.appearances)
+
     @cached_property
     def topology(self) -> Topology:
         return Topology(self.faces, len(self.vertices))

@@ -11,7 +11,7 @@ import numpy as np
 
 from pb4u.body.library import body_names
 from pb4u.collision.nearest_surface import TriangleSurface
-from pb4u.errors import InputError, warn
+from pb4u.errors import InputError, unread_kind, warn
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.material import Material
 from pb4u.garment.pins import resolve_pins
@@ -128,10 +128,7 @@ def read_source(path: Path, most_triangles: int = MOST_READ) -> PolygonMesh:
         InputError: the file is missing, of another kind, damaged, empty of faces or too large.
     """
     if path.suffix.lower() not in READERS:
-        raise InputError(
-            f"{path.name} is no garment file that can be read; the kinds are {', '.join(READERS)}, and sewing "
-            "patterns .json, .toml or the .npz of `pb4u dress`."
-        )
+        raise unread_kind(path, "garment", (*READERS, "of sewing patterns .json, .toml or the .npz of `pb4u dress`"))
     if not path.is_file():
         raise InputError(f"There is no garment file {path}.")
 

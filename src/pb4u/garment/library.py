@@ -7,12 +7,12 @@ import numpy as np
 from pb4u.body.body_model import ShapedBody
 from pb4u.collision.remeshing import remesh
 from pb4u.errors import InputError, refuse_unknown
-from pb4u.garment.body_form import BodyForm
+from pb4u.garment.body_form import form_of
 from pb4u.garment.clearance import clear_of_body
+from pb4u.garment.cuts import CUTS, Cut
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import MATERIALS
 from pb4u.garment.panels import flat_panels
-from pb4u.garment.patterns import PATTERNS, Pattern
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.tailoring import tailor
 from pb4u.geometry.implicit_surface import ImplicitSurface
@@ -30,7 +30,7 @@ FEWEST_TRIANGLES, MOST_TRIANGLES = 200, 200_000
 
 def garment_names() -> tuple[str, ...]:
     """Names of the built-in garments."""
-    return tuple(PATTERNS)
+    return tuple(CUTS)
 
 
 def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) -> Garment:
@@ -46,7 +46,7 @@ def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) 
     Raises:
         InputError: an unknown name, a count out of range, or a body without those joints.
     """
-    refuse_unknown("garment", [name], PATTERNS)
+    refuse_unknown("garment", [name], CUTS)
     if isinstance(triangles, bool) or not isinstance(triangles, (int, np.integer)):
         raise InputError(f"The number of triangles must be a whole number, not {triangles!r}.")
     if not FEWEST_TRIANGLES <= triangles <= MOST_TRIANGLES:
@@ -55,36 +55,32 @@ def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) 
         )
     return body.kept(
         f"{name} of {triangles} triangles",
-        lambda body: _meshed(name, PATTERNS[name], _surface(name, body), body, triangles),
+        lambda body: _meshed(name, CUTS[name], _surface(name, body), body, triangles),
     )
 
 
-def cut_garment(name: str, pattern: Pattern, body: ShapedBody, triangles: int) -> Garment:
+def cut_garment(name: str, cut: Cut, body: ShapedBody, triangles: int) -> Garment:
     """A garment of any cut, fitted and meshed as `build_garment` does it; nothing is kept.
 
     Args:
         name: name of the garment.
-        pattern: its cut.
+        cut: of the garment.
         body: resting body, with the joints that `build_garment` asks for.
         triangles: wanted number of triangles, met within 5 %.
 
     Raises:
         InputError: a body without those joints, or a surface that so many triangles cannot mesh.
     """
-    return _meshed(name, pattern, tailor(pattern, _form(body)), body, triangles)
+    return _meshed(name, cut, tailor(cut, form_of(body)), body, triangles)
 
 
-def _meshed(name: str, pattern: Pattern, surface: ImplicitSurface, body: ShapedBody, triangles: int) -> Garment:
+def _meshed(name: str, cut: Cut, surface: ImplicitSurface, body: ShapedBody, triangles: int) -> Garment:
     vertices, faces = remesh(*surface.mesh, triangles, surface)
     vertices = clear_of_body(vertices, faces, body)
-    uvs, uv_faces = flat_panels(vertices, faces, _form(body), pattern) or (None, None)
-    garment = Garment(name, vertices, faces, MATERIALS["default"], uvs=uvs, uv_faces=uv_faces, loose=pattern.loose)
-    return garment if pattern.pins == "none" else garment.with_pins(resolve_pins(pattern.pins, garment))
-
-
-def _form(body: ShapedBody) -> BodyForm:
-    return body.kept("form", BodyForm)
+    uvs, uv_faces = flat_panels(vertices, faces, form_of(body), cut) or (None, None)
+    garment = Garment(name, vertices, faces, MATERIALS["default"], uvs=uvs, uv_faces=uv_faces, loose=cut.loose)
+    return garment if cut.pins == "none" else garment.with_pins(resolve_pins(cut.pins, garment))
 
 
 def _surface(name: str, body: ShapedBody) -> ImplicitSurface:
-    return body.kept(f"surface of {name}", lambda body: tailor(PATTERNS[name], _form(body)))
+    return body.kept(f"surface of {name}", lambda body: tailor(CUTS[name], form_of(body)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pb4u.garment.body_form import BodyForm, Limb
-from pb4u.garment.patterns import Pattern
+from pb4u.garment.cuts import Cut
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import face_areas
 
@@ -14,7 +14,7 @@ _GAP = 0.02
 
 
 def flat_panels(
-    vertices: np.ndarray, faces: np.ndarray, form: BodyForm, pattern: Pattern
+    vertices: np.ndarray, faces: np.ndarray, form: BodyForm, cut: Cut
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """UVs of a garment, panel by panel.
 
@@ -25,12 +25,12 @@ def flat_panels(
         vertices: (vertices, 3) of the garment at rest [m].
         faces: (faces, 3) int64.
         form: the body that it was cut for.
-        pattern: how it was cut.
+        cut: of the garment.
 
     Returns:
         UV points (n, 2) in the unit square and their faces (faces, 3), or None where a panel cannot be laid flat.
     """
-    panel_of = _panels(vertices[faces].mean(axis=1), form, pattern)
+    panel_of = _panels(vertices[faces].mean(axis=1), form, cut)
     panel_of = _tidy(panel_of, faces, len(vertices))
     uvs, uv_faces = [], np.empty_like(faces)
     offset, count = 0.0, 0
@@ -53,17 +53,17 @@ def flat_panels(
     return points / points.max(), uv_faces
 
 
-def _panels(points: np.ndarray, form: BodyForm, pattern: Pattern) -> np.ndarray:
+def _panels(points: np.ndarray, form: BodyForm, cut: Cut) -> np.ndarray:
     """(n,) number of the panel that each point is on: even in front, odd at the back; limbs from 2 on."""
     torso = form.torso
     forward = points[:, 2] - np.interp(points[:, 1], torso.heights, torso.centres[:, 1])
     part = np.zeros(len(points), dtype=np.int64)
-    if pattern.sleeve > 0.0:
+    if cut.sleeve > 0.0:
         for k, arm in enumerate(form.arms):
             on_arm, ahead = _along_arm(points, form, arm)
             part[on_arm] = k + 1
             forward = np.where(on_arm, ahead, forward)
-    if pattern.legs:
+    if cut.legs:
         part = np.where(points[:, 0] > 0.0, 1, 2)
     return 2 * part + (forward <= 0.0)
 

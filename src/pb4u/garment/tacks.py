@@ -10,7 +10,6 @@ import numpy as np
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_file import map_to_same
-from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology, connected_labels
 from pb4u.geometry.triangle_mesh import laid_flat
 
@@ -91,7 +90,5 @@ def _told(pair: Sequence[int]) -> str:
 
 def _source_of(garment: Garment) -> SourceMap:
     """Map to the garment's own mesh as it was before its tacks; triangles keep their numbers."""
-    uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
-    mesh = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
     every = np.arange(len(garment.vertices))
-    return map_to_same(mesh, every, garment.vertices, garment.faces)
+    return map_to_same(garment.mesh, every, garment.vertices, garment.faces)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pb4u.garment.body_form import BodyForm, Limb
+from pb4u.garment.cuts import Cut
 from pb4u.garment.drape import (
     cone_chain_field,
     hanging,
@@ -16,7 +17,6 @@ from pb4u.garment.drape import (
     smooth_union,
     tube_field,
 )
-from pb4u.garment.patterns import Pattern
 from pb4u.geometry.implicit_surface import ImplicitSurface, Lattice
 
 #: Distance [m] between cloth and skin where a garment rests on the body.
@@ -30,25 +30,25 @@ _STRAPPED_NECK_SHARES = (np.deg2rad((16.5, 18.5)), (0.58, 0.45))
 _MARGIN = 0.05
 
 
-def tailor(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
+def tailor(cut: Cut, form: BodyForm) -> ImplicitSurface:
     """The garment surface for a body, ready to be meshed at any resolution.
 
     Args:
-        pattern: the cut of the garment.
+        cut: of the garment.
         form: measures of the body.
     """
-    if pattern.legs:
-        return _trousers(pattern, form)
-    if pattern.top == "waist":
-        return _skirt(pattern, form)
-    return _top(pattern, form)
+    if cut.legs:
+        return _trousers(cut, form)
+    if cut.top == "waist":
+        return _skirt(cut, form)
+    return _top(cut, form)
 
 
-def hem_height(pattern: Pattern, form: BodyForm) -> float:
+def hem_height(cut: Cut, form: BodyForm) -> float:
     """Height [m] of the hem.
 
     Args:
-        pattern: the cut of the garment.
+        cut: of the garment.
         form: measures of the body.
     """
     base = {
@@ -56,13 +56,13 @@ def hem_height(pattern: Pattern, form: BodyForm) -> float:
         "knee": form.knee_height,
         "calf": 0.45 * form.knee_height + 0.55 * form.ankle_height,
         "ankle": form.ankle_height,
-    }[pattern.hem]
-    return base + pattern.hem_offset * form.scale
+    }[cut.hem]
+    return base + cut.hem_offset * form.scale
 
 
-def _ease(pattern: Pattern, form: BodyForm, hem: float) -> Callable[[np.ndarray], np.ndarray]:
-    chest, waist, hip, end = (value * form.scale for value in pattern.ease)
-    if pattern.top == "waist":
+def _ease(cut: Cut, form: BodyForm, hem: float) -> Callable[[np.ndarray], np.ndarray]:
+    chest, waist, hip, end = (value * form.scale for value in cut.ease)
+    if cut.top == "waist":
         places = [(hem, end), (form.hip_height, hip), (form.waist, waist)]
     else:
         top = form.shoulder_height
@@ -75,8 +75,8 @@ def _ease(pattern: Pattern, form: BodyForm, hem: float) -> Callable[[np.ndarray]
     return lambda y: np.interp(y, heights, values)
 
 
-def _taper(pattern: Pattern, form: BodyForm) -> Callable[[np.ndarray], np.ndarray]:
-    above, below = pattern.taper
+def _taper(cut: Cut, form: BodyForm) -> Callable[[np.ndarray], np.ndarray]:
+    above, below = cut.taper
 
     def taper(y: np.ndarray) -> np.ndarray:
         blend = np.clip((y - form.waist) / (0.06 * form.scale) + 0.5, 0.0, 1.0)
@@ -89,59 +89,59 @@ def _spacing(form: BodyForm) -> float:
     return 0.012 * float(np.clip(form.scale, 0.5, 1.3))
 
 
-def _top(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
+def _top(cut: Cut, form: BodyForm) -> ImplicitSurface:
     from scipy.ndimage import gaussian_filter
 
-    hem = hem_height(pattern, form)
+    hem = hem_height(cut, form)
     chest_top = form.shoulder_height - 0.025 * form.scale
-    sections = hanging(form.torso, _ease(pattern, form, hem), _taper(pattern, form), chest_top, hem)
-    lattice = _lattice(form, sections.reach(hem - 0.05, chest_top), hem, pattern)
+    sections = hanging(form.torso, _ease(cut, form, hem), _taper(cut, form), chest_top, hem)
+    lattice = _lattice(form, sections.reach(hem - 0.05, chest_top), hem, cut)
     y = lattice.axes[1]
 
     tube = tube_field(lattice, sections)
     capped = smooth_intersection(tube, y - chest_top, 0.03 * form.scale)
-    sleeved = pattern.sleeve > 0.0
+    sleeved = cut.sleeve > 0.0
     left_out = form.head | (form.hand_skin if sleeved else form.arm_skin)
     skin = skin_field(lattice, form, left_out)
     shape = smooth_union(capped, skin - REST_CLEARANCE, 0.02 * form.scale)
     sleeves = np.full(lattice.shape, 0.1)
     if sleeved:
-        start, end = (value * form.scale for value in pattern.sleeve_ease)
+        start, end = (value * form.scale for value in cut.sleeve_ease)
 
         def slack(place: np.ndarray) -> np.ndarray:
-            return np.interp(place, [0.15, min(0.6, pattern.sleeve)], [start, end])
+            return np.interp(place, [0.15, min(0.6, cut.sleeve)], [start, end])
 
         for arm in form.arms:
-            sleeves = np.minimum(sleeves, sleeve_field(lattice, form, arm, slack, pattern.sleeve))
+            sleeves = np.minimum(sleeves, sleeve_field(lattice, form, arm, slack, cut.sleeve))
         shape = smooth_union(shape, sleeves, 0.045 * form.scale)
     shape = gaussian_filter(shape, 1.2, mode="nearest")
     shape = smooth_union(shape, skin - REST_CLEARANCE, 0.006)
 
     arm_side = tube - _arm_distance(lattice, form)
-    cuts = [_neck_cut(pattern, form, lattice)]
+    ends = [_neck_cut(cut, form, lattice)]
     if sleeved:
-        cuts.append(np.minimum(hem - y, -arm_side))
-        cuts += [_cuff_cut(lattice, arm, pattern.sleeve, arm_side, form) for arm in form.arms]
+        ends.append(np.minimum(hem - y, -arm_side))
+        ends += [_cuff_cut(lattice, arm, cut.sleeve, arm_side) for arm in form.arms]
     else:
-        cuts.append(np.broadcast_to(hem - y, lattice.shape))
-        cuts += [_armhole_cut(pattern, form, lattice, arm) for arm in form.arms]
+        ends.append(np.broadcast_to(hem - y, lattice.shape))
+        ends += [_armhole_cut(cut, form, lattice, arm) for arm in form.arms]
         # The arm itself always comes out through the hole.
         arm_skin = _distance_to(lattice, form, form.arm_skin & ~_shoulder_skin(form))
-        cuts.append(0.014 * form.scale - arm_skin)
-    if pattern.front_gap > 0.0:
-        cuts.append(_front_cut(pattern, form, lattice))
-    cut = cuts[0]
-    for other in cuts[1:]:
-        cut = smooth_intersection(cut, other, 0.02 * form.scale)
-    return ImplicitSurface(lattice, shape, gaussian_filter(cut, 0.8, mode="nearest"))
+        ends.append(0.014 * form.scale - arm_skin)
+    if cut.front_gap > 0.0:
+        ends.append(_front_cut(cut, form, lattice))
+    outside = ends[0]
+    for other in ends[1:]:
+        outside = smooth_intersection(outside, other, 0.02 * form.scale)
+    return ImplicitSurface(lattice, shape, gaussian_filter(outside, 0.8, mode="nearest"))
 
 
-def _lattice(form: BodyForm, reach: np.ndarray, hem: float, pattern: Pattern) -> Lattice:
+def _lattice(form: BodyForm, reach: np.ndarray, hem: float, cut: Cut) -> Lattice:
     low = np.array([-reach[0], hem, -reach[1]])
     high = np.array([reach[0], form.neck[1] + 0.05 * form.scale, reach[1]])
-    if pattern.sleeve > 0.0:
+    if cut.sleeve > 0.0:
         for arm in form.arms:
-            for place in (0.0, min(1.0, pattern.sleeve), pattern.sleeve):
+            for place in (0.0, min(1.0, cut.sleeve), cut.sleeve):
                 point = arm.along(place)
                 low = np.minimum(low, point - 0.1 * form.scale)
                 high = np.maximum(high, point + 0.1 * form.scale)
@@ -158,34 +158,34 @@ def _arm_distance(lattice: Lattice, form: BodyForm) -> np.ndarray:
     return field
 
 
-def _neck_width(pattern: Pattern, form: BodyForm) -> float:
+def _neck_width(cut: Cut, form: BodyForm) -> float:
     """Half the width [m] of the neck hole, held clear of the ends of the shoulders, the more so the more they slope."""
-    share = float(np.interp(form.shoulder_slope, *(_STRAPPED_NECK_SHARES if pattern.strap > 0.0 else _NECK_SHARES)))
-    return min(form.neck_half_width + pattern.neckline.spread * form.scale, share * form.shoulder_half_width)
+    share = float(np.interp(form.shoulder_slope, *(_STRAPPED_NECK_SHARES if cut.strap > 0.0 else _NECK_SHARES)))
+    return min(form.neck_half_width + cut.neckline.spread * form.scale, share * form.shoulder_half_width)
 
 
-def _neck_cut(pattern: Pattern, form: BodyForm, lattice: Lattice) -> np.ndarray:
+def _neck_cut(cut: Cut, form: BodyForm, lattice: Lattice) -> np.ndarray:
     x, y, z = lattice.axes
-    line = pattern.neckline
+    line = cut.neckline
     front = form.midline(float(form.neck[1]) - line.front * form.scale, front=True)
     back = form.midline(float(form.neck[1]) - line.back * form.scale, front=False)
     way = (front - back)[1:] / np.linalg.norm((front - back)[1:])
     above = (y - back[1]) * way[1] - (z - back[2]) * way[0]
-    width = _neck_width(pattern, form)
+    width = _neck_width(cut, form)
     return smooth_union(above, width - np.abs(x), 0.08 * form.scale)
 
 
-def _cuff_cut(lattice: Lattice, arm: Limb, end: float, arm_side: np.ndarray, form: BodyForm) -> np.ndarray:
+def _cuff_cut(lattice: Lattice, arm: Limb, end: float, arm_side: np.ndarray) -> np.ndarray:
     x, y, z = lattice.axes
     place, axis = arm.along(end), arm.direction(end)
     beyond = (x - place[0]) * axis[0] + (y - place[1]) * axis[1] + (z - place[2]) * axis[2]
     return np.minimum(np.minimum(beyond, arm_side), arm.side * x)
 
 
-def _armhole_cut(pattern: Pattern, form: BodyForm, lattice: Lattice, arm: Limb) -> np.ndarray:
+def _armhole_cut(cut: Cut, form: BodyForm, lattice: Lattice, arm: Limb) -> np.ndarray:
     x, y, _ = lattice.axes
-    strap = _neck_width(pattern, form) + pattern.strap * form.scale
-    low = form.armpit - pattern.armhole_depth * form.scale
+    strap = _neck_width(cut, form) + cut.strap * form.scale
+    low = form.armpit - cut.armhole_depth * form.scale
     chest = form.torso.support[form.torso.level(form.armpit - 0.02), form.torso.support.shape[1] // 4]
     inset = min(strap, 0.86 * abs(float(arm.joints[0, 0])))
     bottom = max(float(chest) - 0.02 * form.scale, inset)
@@ -210,29 +210,29 @@ def _distance_to(lattice: Lattice, form: BodyForm, skin: np.ndarray) -> np.ndarr
     return np.minimum(distance, 0.05).reshape(lattice.shape)
 
 
-def _front_cut(pattern: Pattern, form: BodyForm, lattice: Lattice) -> np.ndarray:
+def _front_cut(cut: Cut, form: BodyForm, lattice: Lattice) -> np.ndarray:
     x, y, z = lattice.axes
     middle = np.interp(y, form.torso.heights, form.torso.centres[:, 1])
-    gap = 0.5 * pattern.front_gap * form.scale - np.abs(x)
+    gap = 0.5 * cut.front_gap * form.scale - np.abs(x)
     return np.minimum(np.broadcast_to(gap, lattice.shape), z - middle)
 
 
-def _skirt(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
-    hem = hem_height(pattern, form)
-    sections = hanging(form.torso, _ease(pattern, form, hem), _taper(pattern, form), form.waist + 0.02, hem)
+def _skirt(cut: Cut, form: BodyForm) -> ImplicitSurface:
+    hem = hem_height(cut, form)
+    sections = hanging(form.torso, _ease(cut, form, hem), _taper(cut, form), form.waist + 0.02, hem)
     reach = sections.reach(hem - 0.05, form.waist)
     low, high = np.array([-reach[0], hem, -reach[1]]), np.array([reach[0], form.waist, reach[1]])
     lattice = Lattice.around(low - _MARGIN, high + _MARGIN, _spacing(form))
     y = lattice.axes[1]
-    cut = np.maximum(np.broadcast_to(hem - y, lattice.shape), y - form.waist)
-    return ImplicitSurface(lattice, tube_field(lattice, sections), cut)
+    end = np.maximum(np.broadcast_to(hem - y, lattice.shape), y - form.waist)
+    return ImplicitSurface(lattice, tube_field(lattice, sections), end)
 
 
-def _trousers(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
+def _trousers(cut: Cut, form: BodyForm) -> ImplicitSurface:
     from scipy.ndimage import gaussian_filter
 
-    hem = hem_height(pattern, form)
-    ease, taper = _ease(pattern, form, hem), _taper(pattern, form)
+    hem = hem_height(cut, form)
+    ease, taper = _ease(cut, form, hem), _taper(cut, form)
     left_out = form.arm_skin | form.head | form.foot_skin
     pelvis = hanging(form.torso, ease, taper, form.waist + 0.02, form.crotch)
     reach = pelvis.reach(form.crotch, form.waist)
@@ -251,8 +251,8 @@ def _trousers(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
     shape = gaussian_filter(shape, 1.2, mode="nearest")
     shape = smooth_union(shape, skin_field(lattice, form, left_out) - REST_CLEARANCE, 0.006)
     shape = smooth_intersection(shape, _between_legs(lattice, form), 0.015 * form.scale)
-    cut = np.maximum(np.broadcast_to(hem - y, lattice.shape), y - form.waist)
-    return ImplicitSurface(lattice, shape, cut)
+    end = np.maximum(np.broadcast_to(hem - y, lattice.shape), y - form.waist)
+    return ImplicitSurface(lattice, shape, end)
 
 
 def _between_legs(lattice: Lattice, form: BodyForm) -> np.ndarray:

@@ -8,7 +8,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from pb4u.body.body_model import ShapedBody
-from pb4u.body.skeleton import branch
+from pb4u.body.skeleton import hand_bones
 from pb4u.body.skinning import SkinningWeights, strongest_influences
 from pb4u.garment.garment import Garment
 from pb4u.geometry.triangle_mesh import area_weighted_normals
@@ -40,8 +40,7 @@ def borrow_weights(garment: Garment, body: ShapedBody) -> SkinningWeights:
         body: whose skinning weights are borrowed.
     """
     # Hands, and skin inside other skin, must not drag cloth along.
-    wrists = [bone for bone, name in enumerate(body.skeleton.names) if "wrist" in name]
-    hands = branch(body.skeleton.parents, wrists)
+    hands = hand_bones(body.skeleton.names, body.skeleton.parents)
     allowed = np.flatnonzero(body.contact & (body.weights.share_of(hands) <= 0.5))
     if not len(allowed):
         allowed = np.arange(len(body.vertices))

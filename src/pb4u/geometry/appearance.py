@@ -116,7 +116,7 @@ def read_image(path: Path) -> bytes:
     Raises:
         InputError: it is missing, or no image that can be read.
     """
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
     if not path.is_file():
         raise InputError(f"There is no image {path}.")
@@ -125,6 +125,8 @@ def read_image(path: Path) -> bytes:
         with Image.open(io.BytesIO(content)) as image:
             image.load()
             return content if image.format in ("PNG", "JPEG") else as_png(image)
+    except UnidentifiedImageError:
+        raise InputError(f"{path} is no image, or a damaged one; save it as PNG or JPEG.") from None
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise InputError(f"{path} cannot be read as an image ({error}); save it as PNG or JPEG.") from None
 

@@ -95,7 +95,8 @@ def error_text(error: BaseException) -> str:
     Args:
         error: the error that the library raised.
     """
-    text = str(error) or type(error).__name__
+    text = "it holds bytes that are no text" if isinstance(error, UnicodeDecodeError) else str(error)
+    text = text or type(error).__name__
     return text if len(text) <= _MOST_TOLD else f"{text[:_MOST_TOLD]} .."
 
 
@@ -117,5 +118,5 @@ def refusing(path: Path, sentence: str) -> Iterator[None]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
     except Exception as error:
-        kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
+        kind = "" if type(error) in (ValueError, UnicodeDecodeError) else f"{type(error).__name__}: "
         raise InputError(f"{path} {sentence} ({kind}{error_text(error)}).") from error

@@ -28,9 +28,8 @@ from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
 
-_ARM = re.compile("arm|elbow|wrist")
-"""In the names of an arm's bones, as Anny and the SMPL family have them; a shoulder's bone is held off by nothing."""
-
+_ARM = re.compile("arm|elbow|wrist|(left|right)_shoulder")
+"""In the names of an arm's bones, as Anny and the SMPL family have them; Anny's shoulder is held off by nothing."""
 
 _BARE, _OUT = 1e-3, 3e-3
 """Skin [m^2] of a limb that lies so far [m] over cloth which it crosses from which on it has come through: 3 cm

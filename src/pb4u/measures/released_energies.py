@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pb4u.physics.contact.contact_set import ContactPlanes, ContactSet, no_planes, world_rows
+from pb4u.physics.contact.contact_set import ContactPlanes, ContactSet, no_planes
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.terms.energy_term import EnergyTerm, dot, sum_by_garment
 from pb4u.physics.terms.friction import SLIDING_DOWN, slip_across
@@ -117,7 +117,7 @@ def nearest_face_centres(pose: ColliderPose, garments: PackedGarments, x: Tensor
     """
     planes = no_planes(x)
     planes.barycentric.fill_(1.0 / 3.0)
-    for world, (surface, rows) in enumerate(zip(pose.whole_surfaces, world_rows(garments), strict=False)):
+    for world, (surface, rows) in enumerate(zip(pose.whole_surfaces, garments.world_vertices, strict=False)):
         if surface is None:
             continue
         face, distance = surface.nearest_face_centre(x[rows])

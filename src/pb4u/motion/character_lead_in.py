@@ -10,9 +10,8 @@ from scipy.spatial.transform import Rotation
 from pb4u.body.character import Character, PosedCharacter
 from pb4u.body.node_animation import NodePoses, parted
 from pb4u.geometry.rotation import slerp
-
-# How long the clip is thought to have gone on before its first frame, slowing down backwards in time [s].
-_RUN_UP = 0.12
+from pb4u.motion.curves import ease
+from pb4u.motion.lead_in import run_up
 
 
 def character_lead_in(character: Character, poses: NodePoses, fps: float, frames: int) -> NodePoses:
@@ -32,25 +31,25 @@ def character_lead_in(character: Character, poses: NodePoses, fps: float, frames
     first = _frame(poses, 0)
     rest = _standing(character, first)
     progress = np.arange(frames) / frames
-    ease = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
+    along = ease(progress)
     # The clip continued backwards with its first velocity, which soon fades out.
-    elapsed = -_RUN_UP * (1.0 - np.exp((progress - 1.0) * frames / fps / _RUN_UP)) * fps
+    elapsed = run_up((progress - 1.0) * frames / fps) * fps
     following = _frame(poses, min(1, len(poses) - 1))
 
     def towards(name: str) -> np.ndarray:
         start, end, after = (getattr(each, name)[0] for each in (rest, first, following))
-        share = ease.reshape(-1, *([1] * end.ndim))
+        share = along.reshape(-1, *([1] * end.ndim))
         end = end + elapsed.reshape(share.shape) * (after - end)
         return np.asarray(start + share * (end - start))
 
     nodes = first.rotations.shape[1]
     target = _turned_on(first.rotations[0], following.rotations[0], elapsed)
-    rotations = slerp(np.broadcast_to(rest.rotations, target.shape), target, np.repeat(ease[:, None], nodes, axis=1))
-    weights = {n: rest.weights[n] + ease[:, None] * (w - rest.weights[n]) for n, w in first.weights.items()}
+    rotations = slerp(np.broadcast_to(rest.rotations, target.shape), target, np.repeat(along[:, None], nodes, axis=1))
+    weights = {n: rest.weights[n] + along[:, None] * (w - rest.weights[n]) for n, w in first.weights.items()}
     blended = NodePoses(towards("translations"), rotations, towards("scales"), weights, poses.rise)
     lowest = [PosedCharacter(character, each, fps).positions(0, len(each))[..., 1].amin(dim=1).numpy() for each in
               (rest, first, blended)]  # fmt: skip
-    wanted = lowest[0][0] + ease * (lowest[1][0] - lowest[0][0])
+    wanted = lowest[0][0] + along * (lowest[1][0] - lowest[0][0])
     return _raised(character, blended, wanted - lowest[2]).joined(poses)
 
 

@@ -14,6 +14,8 @@ TORSO_ROLES = ("pelvis", "spine_lower", "spine_middle", "spine_upper", "neck_low
 LIMB_ROLES = ("clavicle", "upper_arm", "forearm", "forearm_end", "hand", "thigh", "shin", "foot", "toes")
 ROLES = TORSO_ROLES + tuple(f"{role}.{side}" for side in "LR" for role in LIMB_ROLES)
 ROLE_INDEX: Mapping[str, int] = {role: i for i, role in enumerate(ROLES)}
+FORWARD = (0.0, 0.0, 1.0)
+"""Direction in which a straight forearm folds in a T-pose facing +Z."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class SkeletonRoles:
 
     family: str
     roles: Mapping[str, Part]
-    elbow_flexion: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    elbow_flexion: tuple[float, float, float] = FORWARD
     same_as: tuple[str, ...] = ()
 
     @property
@@ -67,13 +69,11 @@ class TargetMap:
     Args:
         bones: bone -> role, or blend of roles.
         joints: limb role -> bone whose head marks the upper end of that limb segment.
-        elbow_flexion: as in `SkeletonRoles`, used where the rest arm is straight.
         partial: whether a skeleton may lack bones that mark no joint.
     """
 
     bones: Mapping[str, Part]
     joints: Mapping[str, str] = field(default_factory=dict)
-    elbow_flexion: tuple[float, float, float] = (0.0, 0.0, 1.0)
     partial: bool = False
 
 
@@ -109,7 +109,7 @@ def _recorded_skeletons() -> Iterator[SkeletonRoles]:
         roles = {role: _PARTS[role][column] for role in TORSO_ROLES}
         for side, word in zip("LR", words, strict=True):
             roles |= {f"{role}.{side}": str(_PARTS[role][column]).format(word) for role in LIMB_ROLES}
-        elbow = _CMU_ELBOW if family.startswith("CMU") else (0.0, 0.0, 1.0)
+        elbow = _CMU_ELBOW if family.startswith("CMU") else FORWARD
         yield SkeletonRoles(family, roles, elbow, ("smpl", "smplh", "smplx") if family == "SMPL" else ())
 
 

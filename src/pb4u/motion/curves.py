@@ -30,6 +30,16 @@ def ease(s: np.ndarray) -> np.ndarray:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
 
 
+def soft_ramp(s: np.ndarray) -> np.ndarray:
+    """Smooth step (n,) from 0 to 1 while s (n,) [1] goes from 0 to 1, without slope at both ends and beyond them.
+
+    Args:
+        s: (n,) dimensionless.
+    """
+    s = np.clip(s, 0.0, 1.0)
+    return s * s * (3.0 - 2.0 * s)
+
+
 def bump(s: np.ndarray, peak: float = 0.5) -> np.ndarray:
     """Smooth pulse from 0 to 1 to 0, at rest (C2) at both ends and beyond them.
 

@@ -37,8 +37,7 @@ class Gait:
         hip_yaw: half turn of the pelvis about the vertical.
         hip_list: half tilt of the pelvis sideways.
         chest_yaw: half turn of the chest about the vertical.
-        arm_swing: half swing of the upper arm.
-        arm_forward: middle of that swing, forward of hanging.
+        arm_swing: half swing of the upper arm, whose middle is 4 degrees forward of hanging.
         elbow: bend of the elbow.
         elbow_swing: half of how much that changes.
     """
@@ -61,7 +60,6 @@ class Gait:
     hip_list: float
     chest_yaw: float
     arm_swing: float
-    arm_forward: float
     elbow: float
     elbow_swing: float
 
@@ -69,13 +67,13 @@ class Gait:
 WALK = Gait(
     cycle=1.05, stride=1.38, stance=0.62, half_width=0.075, landing=-17.0, flat=0.10, heel_off=0.34, toe_off=56.0,
     stopping=38.0, lift=(0.042, 0.36), bounce=0.020, top=0.32, sway=0.018, lean=3.0, hip_yaw=5.0, hip_list=3.0,
-    chest_yaw=5.0, arm_swing=21.0, arm_forward=4.0, elbow=24.0, elbow_swing=11.0,
+    chest_yaw=5.0, arm_swing=21.0, elbow=24.0, elbow_swing=11.0,
 )  # fmt: skip
 
 RUN = Gait(
     cycle=0.72, stride=2.02, stance=0.33, half_width=0.055, landing=-6.0, flat=0.06, heel_off=0.15, toe_off=58.0,
     stopping=15.0, lift=(0.21, 0.43), bounce=0.042, top=0.415, sway=0.012, lean=9.0, hip_yaw=8.0, hip_list=4.0,
-    chest_yaw=9.0, arm_swing=34.0, arm_forward=4.0, elbow=82.0, elbow_swing=14.0,
+    chest_yaw=9.0, arm_swing=34.0, elbow=82.0, elbow_swing=14.0,
 )  # fmt: skip
 
 
@@ -117,7 +115,7 @@ class Gaiting:
         for side, phase in side_phase.items():
             swing = -a * wave(phase, 0.03)
             arms[side] = Arm(
-                flexion=g.arm_forward + g.arm_swing * swing,
+                flexion=4.0 + g.arm_swing * swing,
                 abduction=15.0 + 2.0 * swing,
                 elbow=g.elbow + g.elbow_swing * -a * wave(phase, 0.08),
                 twist=4.0 + 8.0 * swing,

@@ -10,7 +10,8 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import angle_between, between, conjugate, from_axis_angle, multiply, rotate, slerp
-from pb4u.motion.correspondences import ROLE_INDEX, TARGETS, Blend
+from pb4u.motion.correspondences import FORWARD, ROLE_INDEX, TARGETS, Blend
+from pb4u.motion.curves import soft_ramp
 from pb4u.motion.reference_pose import ReferencePose, alignment, leg_length
 
 # Between these angles [rad] of two rotations, slerp between them is blended over to swing alone: from the first on it
@@ -43,7 +44,7 @@ class Humanoid:
             raise InputError(f"{body.name}: the skeleton lacks the bones {', '.join(missing)} of a {body.family} body.")
         self.body = body
         self.target = target
-        self.reference = ReferencePose.of_joints(self.joint, target.elbow_flexion)
+        self.reference = ReferencePose.of_joints(self.joint, FORWARD)
 
     def bone_of(self, role: str) -> str:
         """Name of the bone that a role drives alone, the first one where there are several.
@@ -199,8 +200,8 @@ def _part_way(first: np.ndarray, second: np.ndarray, amount: float, along: np.nd
         return whole
     turned = rotate(multiply(conjugate(first), second), along)
     swing = multiply(first, between(np.broadcast_to(along, turned.shape), turned))
-    s = np.clip((angle - _NEARLY_OPPOSITE[0]) / (_NEARLY_OPPOSITE[1] - _NEARLY_OPPOSITE[0]), 0.0, 1.0)
-    return slerp(whole, slerp(first, swing, np.full(len(first), amount)), s * s * (3.0 - 2.0 * s))
+    share = soft_ramp((angle - _NEARLY_OPPOSITE[0]) / (_NEARLY_OPPOSITE[1] - _NEARLY_OPPOSITE[0]))
+    return slerp(whole, slerp(first, swing, np.full(len(first), amount)), share)
 
 
 def humanoid_of(body: ShapedBody) -> Humanoid:

@@ -9,6 +9,7 @@ from pb4u.body.skeleton import PoseSequence
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import conjugate, from_axis_angle, multiply, rotate, slerp
 from pb4u.motion.arm_clearance import ArmClearance, eased, held_off
+from pb4u.motion.curves import ease
 from pb4u.motion.retargeting import heading, lowest_heights
 
 # How long the motion is thought to have gone on before its first frame, slowing down backwards in time [s].
@@ -39,17 +40,17 @@ def lead_in(poses: PoseSequence, body: ShapedBody, frames: int) -> PoseSequence:
     rest_root = rest_root + poses.root_positions[0] * np.array([1.0, 0.0, 1.0])
 
     progress = np.arange(frames) / frames
-    ease = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
+    share = ease(progress)
     target_rotations, target_roots = _run_up(poses, (progress - 1.0) * frames / poses.fps)
-    rotations = slerp(np.broadcast_to(facing, target_rotations.shape), target_rotations, ease[:, None])
-    roots = rest_root + ease[:, None] * (target_roots - rest_root)
+    rotations = slerp(np.broadcast_to(facing, target_rotations.shape), target_rotations, share[:, None])
+    roots = rest_root + share[:, None] * (target_roots - rest_root)
 
     # Blended legs reach lower or less low than either end does; the body is moved to where its feet belong.
     start = PoseSequence(np.tile(facing, (1, rotations.shape[1], 1)), rest_root[None], poses.fps)
     first = PoseSequence(poses.rotations[:1], poses.root_positions[:1], poses.fps)
     low, high = float(lowest_heights(body, start)[0]), float(lowest_heights(body, first)[0])
     blended = lowest_heights(body, PoseSequence(rotations, roots, poses.fps))
-    roots[:, 1] += low + ease * (high - low) - blended
+    roots[:, 1] += low + share * (high - low) - blended
     return PoseSequence(
         np.concatenate([rotations, poses.rotations]), np.concatenate([roots, poses.root_positions]), poses.fps
     )
@@ -82,6 +83,15 @@ def _run_up(poses: PoseSequence, times: np.ndarray) -> tuple[np.ndarray, np.ndar
     length = np.linalg.norm(turn[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(length, turn[..., :1])
     velocity = poses.fps * angle * turn[..., 1:] / np.maximum(length, 1e-12)
-    elapsed = -_RUN_UP * (1.0 - np.exp(times / _RUN_UP))
+    elapsed = run_up(times)
     rotations = multiply(from_axis_angle(elapsed[:, None, None] * velocity), first)
     return rotations, roots[0] + elapsed[:, None] * poses.fps * (roots[1] - roots[0])
+
+
+def run_up(times: np.ndarray) -> np.ndarray:
+    """Time [s] before its first frame at which a motion is thought to be at `times` < 0 [s]: it slows down backwards.
+
+    Args:
+        times: (frames,) [s].
+    """
+    return -_RUN_UP * (1.0 - np.exp(times / _RUN_UP))

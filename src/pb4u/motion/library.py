@@ -7,7 +7,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import cast
 
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, unknown_name, unread_kind
 from pb4u.io.restricted_pickle import load_pickle
 from pb4u.motion.ground import on_level_ground
 from pb4u.motion.motion import Motion
@@ -77,12 +77,14 @@ def load_motion(
     if name in CLIPS:
         if crop is not None:
             raise InputError(f'The built-in motion "{name}" has no end to crop; ask for the frames you want.')
+        if recorded_fps is not None:
+            raise InputError(f'The built-in motion "{name}" was not recorded; leave out recorded_fps.')
         return ProceduralMotion(name, seed=seed, arms_away_degrees=arms_away_degrees)
     path, person = recording_file(name)
     if path.suffix.lower() == ".asf":
         raise InputError(f"{path} holds the skeleton alone; give the .amc file beside it, which holds the motion.")
     if path.suffix and path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path} is of no kind of motion file that is read; those end in {', '.join(SUFFIXES)}.")
+        raise unread_kind(path, "motion", SUFFIXES)
     if path.suffix.lower() not in SUFFIXES:
         raise unknown_name("motion", name, CLIPS)
     recording = read_recording(path, person)

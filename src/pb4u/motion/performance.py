@@ -10,6 +10,7 @@ import numpy as np
 from pb4u.body.skeleton import PoseSequence
 from pb4u.geometry.rotation import about_axis, between, conjugate, multiply, rotate, slerp
 from pb4u.motion.correspondences import ROLE_INDEX, ROLES
+from pb4u.motion.curves import soft_ramp
 from pb4u.motion.humanoid import Humanoid
 from pb4u.motion.reference_pose import T_POSE
 
@@ -58,7 +59,6 @@ class Arm:
         elbow: bend of the elbow [deg].
         pronation: forearm turned inward about itself [deg].
         wrist: hand bent towards the palm [deg].
-        shrug: shoulder lifted [deg].
     """
 
     flexion: Angle = 0.0
@@ -68,7 +68,6 @@ class Arm:
     elbow: Angle = 15.0
     pronation: Angle = 20.0
     wrist: Angle = 5.0
-    shrug: Angle = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +168,7 @@ def _arm_rotations(arm: Arm, n: int) -> dict[str, np.ndarray]:
     lift = np.asarray(arm.abduction, dtype=np.float64) + np.asarray(arm.flexion) * 0.0
     # The collar bone follows an arm that is lifted above the shoulder.
     height = np.maximum(lift, np.abs(arm.flexion))
-    collar = about("z", np.asarray(arm.shrug) + 18.0 * _soft_ramp((height - 60.0) / 90.0), n)
+    collar = about("z", 18.0 * soft_ramp((height - 60.0) / 90.0), n)
     upper = multiply(about("x", -np.asarray(arm.flexion), n), about("z", lift - 90.0, n))
     upper = multiply(about("y", arm.sweep, n), upper)
     upper = multiply(upper, about("x", arm.twist, n))
@@ -177,11 +176,6 @@ def _arm_rotations(arm: Arm, n: int) -> dict[str, np.ndarray]:
     end = multiply(fore, about("x", arm.pronation, n))
     hand = multiply(end, about("z", -np.asarray(arm.wrist), n))
     return {"clavicle": collar, "upper_arm": upper, "forearm": fore, "forearm_end": end, "hand": hand}
-
-
-def _soft_ramp(s: np.ndarray) -> np.ndarray:
-    s = np.clip(s, 0.0, 1.0)
-    return s * s * (3.0 - 2.0 * s)
 
 
 def _leg_rotations(

@@ -9,7 +9,9 @@ import numpy as np
 from pb4u.body.skeleton import local_rotations, world_rotations
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import angle_between, rotate, slerp
+from pb4u.motion.curves import soft_ramp
 from pb4u.motion.recording import Recording
+from pb4u.motion.reference_pose import ReferencePose
 
 # A joint that turns by more than this between two frames has not moved: its Euler angles have jumped.
 _JUMP_ANGLE, _JUMP_SPEED = np.deg2rad(60.0), np.deg2rad(3600.0)
@@ -20,7 +22,6 @@ _REPAIR_SPEED = np.deg2rad(600.0)
 # Flips closer to each other than this are one: there and back again [s].
 _SAME_FLIP = 0.25
 _FLIPPING = ("upper_arm", "forearm", "forearm_end", "hand", "thigh", "shin", "foot", "toes")
-_LIMB_ENDS = {"upper_arm": "forearm", "thigh": "shin", "forearm": "hand", "shin": "foot"}
 # Nobody travels faster than this [m/s]; less than that distance [m] in a frame is a tremble of slow recordings. Lengths
 # are for the leg of an average adult [m], since files have units of their own.
 _FASTEST, _LEAST_LEAP = 15.0, 0.3
@@ -40,12 +41,13 @@ def without_flips(recording: Recording) -> Recording:
     """
     fps = recording.poses.fps
     local = local_rotations(recording.poses.rotations, recording.skeleton.parents)
+    directions = ReferencePose.of_joints(recording.joint, recording.source.elbow_flexion).directions
     counts: dict[str, int] = {}
     for role in (f"{r}.{side}" for r in _FLIPPING for side in "LR"):
         bone = recording.joint_index(role)
         if recording.skeleton.names[bone] in counts:
             continue
-        flips = _flips(local[:, bone], _limb_direction(recording, role), fps)
+        flips = _flips(local[:, bone], directions.get(role), fps)
         if flips:
             local[:, bone] = _led_over(local[:, bone], flips, fps)
             counts[recording.skeleton.names[bone]] = len(flips)
@@ -135,15 +137,6 @@ def without_gaps(recording: Recording, numbers: np.ndarray) -> Recording:
     return replace(recording, poses=poses, notes=(*recording.notes, note))
 
 
-def _limb_direction(recording: Recording, role: str) -> np.ndarray | None:
-    """Unit vector (3,) along a limb segment in the reference pose; None for hands and feet."""
-    part, side = role.split(".")
-    if part not in _LIMB_ENDS:
-        return None
-    along = recording.joint(f"{_LIMB_ENDS[part]}.{side}") - recording.joint(role)
-    return along / np.linalg.norm(along)
-
-
 def _flips(rotations: np.ndarray, along: np.ndarray | None, fps: float) -> list[tuple[int, int]]:
     """(last good frame before, first good frame after) of each flip of a joint (frames, 4)."""
     last = len(rotations) - 1
@@ -177,6 +170,6 @@ def _led_over(rotations: np.ndarray, flips: list[tuple[int, int]], fps: float) -
             if stop - start >= needed:
                 break
             start, stop = max(start - 1, 0), min(stop + 1, last)
-        s = np.linspace(0.0, 1.0, stop - start + 1)
-        result[start : stop + 1] = slerp(result[start][None], result[stop][None], s * s * (3.0 - 2.0 * s))
+        share = soft_ramp(np.linspace(0.0, 1.0, stop - start + 1))
+        result[start : stop + 1] = slerp(result[start][None], result[stop][None], share)
     return result

@@ -14,6 +14,7 @@ from scipy.ndimage import minimum_filter1d
 
 from pb4u.body.skeleton import joint_positions, local_rotations, world_rotations
 from pb4u.geometry.rotation import between, multiply
+from pb4u.motion.curves import soft_ramp
 from pb4u.motion.recording import Recording
 
 CUTOFF = 6.0
@@ -140,8 +141,7 @@ def _standing(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 
 def _falling(values: np.ndarray, between: tuple[float, float]) -> np.ndarray:
     """1 below the first of two values, 0 above the second, smooth in between."""
-    share = np.clip((values - between[0]) / (between[1] - between[0]), 0.0, 1.0)
-    return 1.0 - share * share * (3.0 - 2.0 * share)
+    return 1.0 - soft_ramp((values - between[0]) / (between[1] - between[0]))
 
 
 def _sliding(recording: Recording, stands: np.ndarray) -> float:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pb4u.garment.cuts import CUTS
 from pb4u.garment.material import MATERIALS
-from pb4u.garment.patterns import PATTERNS
 from pb4u.training.catalogue import MOTIONS, RECORDINGS, TRAINING_GARMENTS, UNSEEN_GARMENTS
 
 _NETWORKS = (
@@ -145,7 +145,7 @@ PROTOCOLS = {
                 "seed, each network alone and by default."
             ),
             models=("pb4u-light", "quick-solver", "solver"),
-            garments=tuple(PATTERNS),
+            garments=tuple(CUTS),
             motions=MOTIONS["train"],
             bodies=("woman", "man"),
             levels=("base",),

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
-from pb4u.garment.body_form import BodyForm, Limb, directions
+from pb4u.garment.body_form import Limb, directions, form_of
 
 _SLICE = 0.012
 """Half thickness [m] of a slice of skin that a tape lies around, across a limb."""
@@ -37,13 +37,13 @@ def body_measurements(body: ShapedBody) -> dict[str, float]:
     return {**{name: round(100.0 * value, 2) for name, value in lengths.items()}, **angles}
 
 
-def measurements_yaml(body: ShapedBody) -> str:
+def measurements_yaml(measures: Mapping[str, float]) -> str:
     """Those measures as the YAML text of a GarmentCode body file.
 
     Args:
-        body: the resting body.
+        measures: by name [cm, degrees].
     """
-    rows = [f"  {name}: {value:g}" for name, value in sorted(body_measurements(body).items())]
+    rows = [f"  {name}: {value:g}" for name, value in sorted(measures.items())]
     return "\n".join(["body:", *rows, ""])
 
 
@@ -77,7 +77,7 @@ class _Tape:
     """
 
     def __init__(self, body: ShapedBody) -> None:
-        self.body, self.form = body, body.kept("form", BodyForm)
+        self.body, self.form = body, form_of(body)
         points, _, owner = self.form.samples
         self.trunk = points[~self.form.arm_skin[owner] & ~self.form.head[owner]]
         self.heights = self.form.torso.heights

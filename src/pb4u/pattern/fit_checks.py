@@ -6,7 +6,7 @@ import numpy as np
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.errors import InputError
-from pb4u.garment.body_form import BodyForm
+from pb4u.garment.body_form import form_of
 from pb4u.pattern.body_measurements import trunk_girths
 from pb4u.pattern.mesh import PatternMesh
 from pb4u.pattern.placement import shoulder_point
@@ -61,7 +61,7 @@ def refuse_narrow(mesh: PatternMesh, body: ShapedBody, placed: np.ndarray) -> No
     Raises:
         InputError: so much of it is too narrow, or all of it lies too low.
     """
-    form, pattern = body.kept("form", BodyForm), mesh.pattern
+    form, pattern = form_of(body), mesh.pattern
     trunk = [k for k, panel in enumerate(pattern.panels) if panel.label != "arm"]
     own = [placed[mesh.panel == k] for k in trunk]
     low, high = (np.array([end(points[:, 1]) for points in own]) for end in (np.min, np.max))

@@ -14,8 +14,9 @@ from pb4u.pattern.layout import laid_out
 from pb4u.pattern.pattern import Panel, Pattern, Seam
 from pb4u.pattern.triangulation import triangulate_loop
 
-_COUNT_TOLERANCE = 0.02
-"""Relative deviation from the wanted number of triangles at which the edge length is adjusted no more."""
+_COUNT_TOLERANCE, _TRIES = 0.02, 6
+"""Relative deviation from the wanted number of triangles at which the edge length is adjusted no more, and how often it
+is at most."""
 
 _BULGE = 1e-3
 """Slope by which a straight edge is bent outwards while its triangles are chosen."""
@@ -111,16 +112,14 @@ def mesh_pattern(pattern: Pattern, triangles: int) -> PatternMesh:
     if triangles < 4 * len(pattern.panels):
         raise InputError(f"{triangles} triangles are too few for the {len(pattern.panels)} panels of {pattern.name}.")
     length = 0.985 * float(np.sqrt(4.0 / np.sqrt(3.0) * pattern.area / triangles))
-    best = made = _meshed(pattern, length)
-    for _ in range(6):
-        if abs(len(made.faces) - triangles) < abs(len(best.faces) - triangles):
-            best = made
+    tries = []
+    for _ in range(_TRIES):
+        tries.append(made := _meshed(pattern, length))
         ratio = len(made.faces) / triangles
         if abs(ratio - 1.0) <= _COUNT_TOLERANCE:
             break
         length *= float(np.clip(np.sqrt(ratio), 0.7, 1.4))
-        made = _meshed(pattern, length)
-    return best
+    return min(tries, key=lambda made: abs(len(made.faces) - triangles))
 
 
 def _meshed(pattern: Pattern, length: float) -> PatternMesh:

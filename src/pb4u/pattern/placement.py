@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
-from pb4u.garment.body_form import BodyForm
+from pb4u.garment.body_form import form_of
 from pb4u.garment.garment_file import nearest_places
 from pb4u.pattern.body_measurements import shoulder_height, trunk_girths
 from pb4u.pattern.mesh import PatternMesh
@@ -41,7 +41,7 @@ def around(mesh: PatternMesh, body: ShapedBody) -> np.ndarray:
     if top is not None:
         rise = shoulder_height(body, abs(places[top, 0])) - float(places[top, 1])
     elif (crotch := crotch_height(mesh, places)) is not None:
-        rise = min(0.0, body.kept("form", BodyForm).crotch - _CROTCH_ROOM - crotch)
+        rise = min(0.0, form_of(body).crotch - _CROTCH_ROOM - crotch)
     else:
         rise = min(0.0, trunk_girths(body)["waist"][0] + _WAISTBAND - float(places[:, 1].max()))
     return places + rise * np.array(UP)

@@ -6,7 +6,7 @@ import numpy as np
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence, branch
-from pb4u.garment.body_form import BodyForm, Limb
+from pb4u.garment.body_form import Limb, form_of
 from pb4u.geometry.rotation import between
 
 _END = 0.95
@@ -54,7 +54,7 @@ def _straight_arms(body: ShapedBody, sleeves: np.ndarray) -> PoseSequence:
     """The pose, one frame long, in which each arm and its hand are a straight line in the frontal plane."""
     skeleton = body.skeleton
     rotations = np.tile([1.0, 0.0, 0.0, 0.0], (skeleton.bone_count, 1))
-    for arm in body.kept("form", BodyForm).arms:
+    for arm in form_of(body).arms:
         shoulder, wanted = arm.joints[0], (arm.joints[2] - arm.joints[0])[:2]
         if len(sleeves):
             # Through the middle of the sleeve's end.

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -20,6 +21,7 @@ from pb4u.collision.batched_surface import BatchedSurface, Groups, PosedBatch
 from pb4u.collision.nearest_points import Found
 from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.collision.rooms import Rooms
+from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.collision.wide_tree import WideTree
 
 if TYPE_CHECKING:
@@ -144,6 +146,18 @@ class PackedColliders:
         return tuple(
             torch.nonzero((self.vertex_world == world) & self.contact)[:, 0] for world in range(len(self.surfaces))
         )
+
+    @cached_property
+    def touched(self) -> tuple[np.ndarray, np.ndarray]:
+        """Packed vertices (vertices,) int64 that searches find, and faces (faces, 3) int64 among them."""
+        faces = self.contact_faces.cpu().numpy()[np.concatenate(self.searched_faces)]
+        vertices, faces = np.unique(faces, return_inverse=True)
+        return vertices, faces.reshape(-1, 3)
+
+    @cached_property
+    def trees(self) -> WeakKeyDictionary[PackedGarments, tuple[SurfaceTree, np.ndarray]]:
+        """Searches among garments and these bodies, with areas (body vertices,) [m^2], of packs that met them."""
+        return WeakKeyDictionary()
 
     def pose(self, positions: Tensor) -> ColliderPose:
         """Pose of the bodies with their vertices at `positions` (vertices, 3) [m].

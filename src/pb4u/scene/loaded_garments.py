@@ -27,7 +27,6 @@ from pb4u.garment.repair import push_out
 from pb4u.garment.support import Support, find_support
 from pb4u.garment.tacks import tacked
 from pb4u.geometry.appearance import read_image
-from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.run import WornGarment
 
 DEFAULT_MATERIAL = "default"
@@ -162,16 +161,14 @@ def _remeshed(garment: Garment, triangles: int | None) -> Garment:
             f"{triangles} triangles."
         )
     vertices, faces = remesh(garment.vertices, garment.faces, triangles)
-    uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
-    simulated = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces, garment.appearances)
-    places = nearest_places(simulated.vertices, vertices, faces)
+    places = nearest_places(garment.vertices, vertices, faces)
     own = garment.skinning
     if own is not None:
         triangle, barycentric = nearest_places(vertices, garment.vertices, garment.faces)
         own = own.at(garment.faces[triangle], barycentric)
     remeshed = replace(
         garment, vertices=vertices, faces=faces, pinned=np.zeros(len(vertices), dtype=bool), uvs=None, uv_faces=None,
-        appearances=None, source=SourceMap(simulated, *places), coarse_edges=(), skinning=own,
+        appearances=None, source=SourceMap(garment.mesh, *places), coarse_edges=(), skinning=own,
     )  # fmt: skip
     if garment.pinned.any():
         remeshed = remeshed.with_pins(resolve_pins(np.flatnonzero(garment.pinned), remeshed))

@@ -137,6 +137,11 @@ class PackedGarments:
         return (*firsts, self.vertex_count)
 
     @cached_property
+    def world_vertices(self) -> tuple[slice, ...]:
+        """Rows of the packed vertices of each world."""
+        return tuple(slice(first, stop) for first, stop in pairwise(self.world_offsets))
+
+    @cached_property
     def surface_tree(self) -> SurfaceTree:
         """Search for elements of the garments that come near each other."""
         return self._tree(self.worlds)
@@ -157,8 +162,8 @@ class PackedGarments:
     def surfaces(self) -> tuple[TriangleSurface, ...]:
         """The searchable surface of each world's garments; its vertices are counted from the first of the world."""
         faces, world = self.faces.cpu().numpy(), self.garment_world[self.face_garment].cpu().numpy()
-        spans = pairwise(self.world_offsets)
-        return tuple(TriangleSurface(faces[world == k] - a, b - a) for k, (a, b) in enumerate(spans))
+        rows = enumerate(self.world_vertices)
+        return tuple(TriangleSurface(faces[world == k] - own.start, own.stop - own.start) for k, own in rows)
 
     def by_world(self, values: Tensor) -> Tensor:
         """Sums (worlds,) of `values` over the garments of each world, in their unit.

@@ -32,6 +32,8 @@ _REQUIRED = (
     "format_version", "positions", "velocities", "faces", "rest_positions", "pinned", "vertex_garment",
     "body_positions", "body_faces", "body_contact", "fps", "metadata",
 )  # fmt: skip
+_MOVING_BODY = {"positions", "faces", "fps", "contact"}
+"""What `pb4u.body.sequence_files` writes."""
 _STREAMED = ("positions", "velocities", "body_positions")
 _ORIGINS = {"positions": "position_origins", "body_positions": "body_position_origins"}
 """Member of offsets -> member (frames, 3) float32 [m] of what they are taken from, in half precision."""
@@ -78,6 +80,8 @@ def read_members(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     try:
         members = map_archive(path)
     except InputError as error:
+        if path.suffix.lower() != ".npz":
+            raise InputError(f"{path} is no trajectory; give the .npz that `pb4u simulate` wrote.") from error
         told = str(error).removeprefix(f"{path}: ")
         raise InputError(f"{path} cannot be read as a trajectory (cut short or another format): {told}") from error
     version = members.get("format_version", np.array(FORMAT_VERSION))
@@ -90,7 +94,8 @@ def read_members(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     required = (*_REQUIRED, *(_ORIGINS.values() if version == HALF_VERSION else ()))
     missing = [name for name in required if name not in members]
     if missing:
-        raise InputError(f"{path} is not a pb4u trajectory: it lacks {', '.join(missing)}.")
+        instead = "; it is a moving body, which is given as --body" if set(members) >= _MOVING_BODY else ""
+        raise InputError(f"{path} is not a pb4u trajectory: it lacks {', '.join(missing)}{instead}.")
     metadata = require_consistent(members, path)
     if version == HALF_VERSION:
         members |= _whole_precision(members, path)

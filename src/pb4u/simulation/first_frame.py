@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 import torch
@@ -57,9 +56,9 @@ def untangled(timeline: Timeline, method: StepMethod, state: State) -> State:
     if method.self_contact is None:
         return state
     garments, positions, free = timeline.garments, as_float64(state.positions), []
-    for world, (first, stop) in enumerate(pairwise(garments.world_offsets)):
+    for world, rows in enumerate(garments.world_vertices):
         worn = [g for g, its in zip(garments.garments, garments.worlds, strict=True) if its == world]
-        free.append(untangled_start(worn, positions[first:stop]))
+        free.append(untangled_start(worn, positions[rows]))
     return replace(state, positions=torch.from_numpy(np.concatenate(free)).to(state.positions))
 
 

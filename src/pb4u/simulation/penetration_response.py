@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -20,30 +20,25 @@ from pb4u.scene.state import State
 
 _PIN_CLEARANCE = 2e-3
 """Distance [m] that pins keep from the body: where contact begins."""
+_CLEARANCE = 5e-4
+"""Distance [m] to the surface that pushed vertices end at."""
+_LARGEST_PUSH = 0.02
+"""Largest displacement [m] of a vertex in one step."""
+_CLEAN_UP, _PINS_CLEAR = FaceClearance(), FaceClearance(clearance=_PIN_CLEARANCE)
 
 
-@dataclass(frozen=True)
 class ContactResponse:
     """Pushes vertices out of the true surface along its normal and removes the speed that would take them back in.
 
-    A push is at most `largest_push` per step; what remains, `depth` tells. Of the velocity only the inward normal
+    A push is at most 2 cm per step; what remains, `depth` tells. Of the velocity only the inward normal
     component relative to the body is removed; the push itself never becomes speed. Regions of the body left out of
     contact do not push, nor do pinned vertices move. Where the nearest surface has become the far side of a thin part
     (an arm), the vertex is pushed back to the side that it came from; a push that would go deeper into another part is
     not made.
 
-    Output frames have edges and faces moved out of the body too, where `faces` says so. This clean-up stays out of the
-    simulation: coarse cloth would ride above the reach of friction and slide off.
-
-    Args:
-        clearance: distance to the surface that pushed vertices end at [m].
-        largest_push: largest displacement of a vertex in one step [m].
-        faces: moves edges and faces of output frames out of the body; None for no clean-up.
+    Output frames have edges and faces moved out of the body too. This clean-up stays out of the simulation: coarse
+    cloth would ride above the reach of friction and slide off.
     """
-
-    clearance: float = 5e-4
-    largest_push: float = 0.02
-    faces: FaceClearance | None = field(default_factory=FaceClearance)
 
     def respond(self, step: TimeStep, state: State) -> State:
         """State with vertices pushed out of the bodies; the push never becomes speed.
@@ -57,7 +52,7 @@ class ContactResponse:
         if step.bodies is not None:
             x, v = self._out_of_bodies(step, step.bodies, x, v, movable)
         if step.ground_height is not None:
-            depth = (self.clearance - (x[:, 1] - step.ground_height)).clamp(0.0, self.largest_push)
+            depth = (_CLEARANCE - (x[:, 1] - step.ground_height)).clamp(0.0, _LARGEST_PUSH)
             up = x.new_tensor(UP)
             touched = (depth > 0) & movable
             x = torch.where(touched[:, None], x + depth[:, None] * up, x)
@@ -71,10 +66,9 @@ class ContactResponse:
             step: that is to be taken.
         """
         garments, pins = step.garments, step.pin_positions
-        if step.bodies is None or self.faces is None or pins is None or not bool(garments.pinned.any()):
+        if step.bodies is None or pins is None or not bool(garments.pinned.any()):
             return step
-        clear = replace(self.faces, clearance=_PIN_CLEARANCE)
-        return replace(step, pin_positions=clear.pins_clear(garments, step.bodies.following, pins))
+        return replace(step, pin_positions=_PINS_CLEAR.pins_clear(garments, step.bodies.following, pins))
 
     def cleared(self, step: TimeStep, state: State, cloth: CollisionFree | None) -> State:
         """State in which cloth that a body pierces between vertices is moved off it, as far as cloth can go there.
@@ -84,12 +78,12 @@ class ContactResponse:
             state: at the end of it.
             cloth: keeps it from passing through cloth, and tells whether bodies count.
         """
-        if step.bodies is None or self.faces is None or cloth is None or not cloth.feels_bodies:
+        if step.bodies is None or cloth is None or not cloth.feels_bodies:
             return state
         obstacle = Obstacle.at(step.garments, step.bodies.following, state.positions)
         if obstacle is None or not obstacle.passed.any():
             return state
-        lifted = self.faces.lift(step.garments, state, step.bodies.following, cloth)
+        lifted = _CLEAN_UP.lift(step.garments, state, step.bodies.following, cloth)
         # Moved past them, cloth is through nothing more than it was.
         obstacle.reached(step.garments, step.bodies.following, lifted.positions)
         return lifted
@@ -112,18 +106,18 @@ class ContactResponse:
             pose: the bodies at that frame.
             cloth: keeps it from passing through cloth.
         """
-        return state if self.faces is None else self.faces.lift(garments, state, pose, cloth)
+        return _CLEAN_UP.lift(garments, state, pose, cloth)
 
     def _out_of_bodies(
         self, step: TimeStep, bodies: ColliderFrame, x: Tensor, v: Tensor, movable: Tensor
     ) -> tuple[Tensor, Tensor]:
         planes = _planes(bodies.following, step.garments, x)
-        normal, depth = planes.normals, self.clearance - planes.distance
+        normal, depth = planes.normals, _CLEARANCE - planes.distance
         if not bool((depth > 0).any()):
             return x, v
         came_from = _planes(bodies.now, step.garments, step.state.positions)
         normal, depth = self._near_side(planes, came_from, x, bodies.following, depth)
-        push = torch.where(planes.touchable & movable, depth.clamp(0.0, self.largest_push), 0.0)
+        push = torch.where(planes.touchable & movable, depth.clamp(0.0, _LARGEST_PUSH), 0.0)
         pushed = x + push[:, None] * normal
         check = _planes(bodies.following, step.garments, pushed)
         worse = check.touchable & (check.distance < torch.minimum(planes.distance, torch.zeros_like(planes.distance)))
@@ -139,12 +133,12 @@ class ContactResponse:
         """Normals and depths, measured from the side that a vertex came from where that faces the other way."""
         point = came_from.transported(following).to(x)
         facing = came_from.transported_normals(following).to(x)
-        was_outside = came_from.touchable & (came_from.distance > -self.clearance)
+        was_outside = came_from.touchable & (came_from.distance > -_CLEARANCE)
         crossed = (depth > 0) & was_outside & ((facing * planes.normals).sum(1) < 0)
         height = ((x - point) * facing).sum(1)
         crossed = crossed & (height < 0)
         normal = torch.where(crossed[:, None], facing, planes.normals)
-        return normal, torch.where(crossed, self.clearance - height, depth)
+        return normal, torch.where(crossed, _CLEARANCE - height, depth)
 
 
 def _planes(pose: ColliderPose, garments: PackedGarments, x: Tensor) -> ContactPlanes:

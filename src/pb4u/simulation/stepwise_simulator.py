@@ -8,7 +8,7 @@ import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice, pairwise
+from itertools import islice
 from typing import Any
 
 import torch
@@ -303,13 +303,13 @@ class NetworkSimulator(StepwiseSimulator):
             timeline = self.timeline(*scenes)
             method = self.method(timeline, RunRecord())
         made: list[tuple[list[State], RunRecord]] = [([], RunRecord()) for _ in scenes]
-        spans, going = list(pairwise(timeline.garments.world_offsets)), set(range(len(scenes)))
+        going = set(range(len(scenes)))
         began = time.perf_counter()
         for state in self._moved(timeline, method, max(scenes, key=lambda scene: scene.total_frames)):
             x, v, seconds = state.positions.cpu(), state.velocities.cpu(), time.perf_counter() - began
             share = seconds / len(going)
             for world in sorted(going):
-                (states, record), rows = made[world], slice(*spans[world])
+                (states, record), rows = made[world], timeline.garments.world_vertices[world]
                 try:
                     states.append(require_finite(State(x[rows], v[rows], state.frame)))
                     record.step_seconds.append(share)

@@ -16,7 +16,7 @@ class TrainingRequest:
 
     Args:
         preset: Which training: small (two cores, the default), wide (goes on with small by --weights), literal (the
-            paper's network and schedule; days of an accelerator), literal_small (the same, 64 wide with 4 blocks),
+            paper's network and schedule), literal_small (the same, 64 wide with 4 blocks),
             paper (the paper's size and schedule with inputs of ours), comparison (half an hour), smoke (seconds).
         steps: Optimiser steps in all, those before --resume included. Default: the preset's own number.
         minutes: Minutes of training in all, beyond the making of its data; instead of steps, or besides.

@@ -9,9 +9,9 @@ import numpy as np
 from pb4u.body.body_model import ShapedBody
 from pb4u.errors import InputError
 from pb4u.garment.clearance import clear_of_body
+from pb4u.garment.cuts import CUTS, Cut, Neckline
 from pb4u.garment.garment import Garment
 from pb4u.garment.library import FEWEST_TRIANGLES, build_garment, cut_garment
-from pb4u.garment.patterns import PATTERNS, Neckline, Pattern
 from pb4u.geometry.edge_operations import split_edges
 
 CAPE = "cape"
@@ -40,29 +40,29 @@ def varied_garment(name: str, body: ShapedBody, triangles: int, rng: np.random.G
         rng: source of the draws, which it advances.
     """
     for _ in range(_DRAWS):
-        pattern = varied_cut(PATTERNS[name], rng)
+        cut = varied_cut(CUTS[name], rng)
         try:
-            garment = cut_garment(name, pattern, body, triangles)
+            garment = cut_garment(name, cut, body, triangles)
         except InputError:
             continue
         mesh = garment.topology
-        if mesh.piece_of_vertex.max() == 0 and len(mesh.boundary_loops) == _borders(pattern):
+        if mesh.piece_of_vertex.max() == 0 and len(mesh.boundary_loops) == _borders(cut):
             return garment
     return build_garment(name, body, triangles)
 
 
-def _borders(pattern: Pattern) -> int:
+def _borders(cut: Cut) -> int:
     """Number of borders of a garment in one piece: an open front joins neck and hem."""
-    if pattern.top == "waist":
-        return 3 if pattern.legs else 2
-    return 3 if pattern.front_gap > 0.0 else 4
+    if cut.top == "waist":
+        return 3 if cut.legs else 2
+    return 3 if cut.front_gap > 0.0 else 4
 
 
-def varied_cut(pattern: Pattern, rng: np.random.Generator) -> Pattern:
+def varied_cut(cut: Cut, rng: np.random.Generator) -> Cut:
     """A cut of the same kind: another length, ease, neckline, sleeve and front.
 
     Args:
-        pattern: cut to vary.
+        cut: to vary.
         rng: source of the draws, which it advances.
     """
 
@@ -70,36 +70,36 @@ def varied_cut(pattern: Pattern, rng: np.random.Generator) -> Pattern:
         return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
     # How far [m] hems rise at most: short trousers end above the knee, tops at the waist.
-    shorter = 0.4 if pattern.legs else 0.22 if pattern.loose else 0.09
-    longer = 0.12 if pattern.hem in ("crotch", "knee") else 0.0
-    chest, waist, hip, end = pattern.ease
+    shorter = 0.4 if cut.legs else 0.22 if cut.loose else 0.09
+    longer = 0.12 if cut.hem in ("crotch", "knee") else 0.0
+    chest, waist, hip, end = cut.ease
     wider = factor(0.8, 1.8)
-    if pattern.top == "waist":
+    if cut.top == "waist":
         # Pinned there, it has to fit.
         ease = (chest, waist, hip * wider, end * wider * factor(0.8, 1.5))
     else:
         ease = (chest * wider, waist * wider, hip * wider, end * wider)
-    above, below = pattern.taper
-    flare = float(rng.uniform(-0.2, 0.05)) if pattern.loose else 0.0
-    line = pattern.neckline
+    above, below = cut.taper
+    flare = float(rng.uniform(-0.2, 0.05)) if cut.loose else 0.0
+    line = cut.neckline
     neckline = Neckline(line.front * factor(0.8, 1.6), line.back + float(rng.uniform(0.0, 0.02)), line.spread)
     sleeve = 0.0
-    if pattern.sleeve > 0.0:
-        sleeve = float(rng.uniform(0.4, 0.95) if pattern.sleeve < 1.0 else rng.uniform(1.2, 1.95))
-    shoulder, cuff = pattern.sleeve_ease
-    front = pattern.front_gap * factor(0.5, 1.6)
+    if cut.sleeve > 0.0:
+        sleeve = float(rng.uniform(0.4, 0.95) if cut.sleeve < 1.0 else rng.uniform(1.2, 1.95))
+    shoulder, cuff = cut.sleeve_ease
+    front = cut.front_gap * factor(0.5, 1.6)
     if front == 0.0 and sleeve > 0.0 and rng.random() < _OPEN_FRONTS:
         front = float(rng.uniform(0.04, 0.12))
     return replace(
-        pattern,
-        hem_offset=pattern.hem_offset + float(rng.uniform(-longer, shorter)),
+        cut,
+        hem_offset=cut.hem_offset + float(rng.uniform(-longer, shorter)),
         ease=ease,
         taper=(above, below + flare),
         neckline=neckline,
         sleeve=sleeve,
         sleeve_ease=(shoulder * factor(0.9, 1.5), cuff * factor(0.8, 2.0)),
-        armhole_depth=pattern.armhole_depth * factor(0.7, 1.4),
-        strap=pattern.strap * factor(0.7, 1.3),
+        armhole_depth=cut.armhole_depth * factor(0.7, 1.4),
+        strap=cut.strap * factor(0.7, 1.3),
         front_gap=front,
     )
 
@@ -112,14 +112,14 @@ def cape(body: ShapedBody, triangles: int, rng: np.random.Generator) -> Garment:
         triangles: wanted number of triangles.
         rng: source of the draws, which it advances.
     """
-    pattern = replace(
-        PATTERNS["dress"],
+    cut = replace(
+        CUTS["dress"],
         hem_offset=float(rng.uniform(0.0, 0.4)),
         ease=(0.03, 0.05, 0.07, 0.09),
         taper=(-0.1, float(rng.uniform(-0.6, -0.2))),
         front_gap=_NO_FRONT,
     )
-    garment = cut_garment(CAPE, pattern, body, triangles)
+    garment = cut_garment(CAPE, cut, body, triangles)
     height, left = garment.vertices[:, 1], garment.vertices[:, 0] > 0.0
     tops = [side & (height > height[side].max() - _PINNED_DEPTH) for side in (left, ~left)]
     return garment.with_pins(tops[0] | tops[1])

@@ -149,7 +149,6 @@ class GeodesicAttention(nn.Module):
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
-        self.heads = heads
         self.norm = nn.LayerNorm(width)
         self.collect, self.spread = _Attention(width, heads), _Attention(width, heads)
 

@@ -15,6 +15,7 @@ from pb4u.network.graph.pins import SeenGarments
 from pb4u.paper.baselines.enclosures import by_contour
 from pb4u.paper.baselines.intersection_contours import ContourFinder
 from pb4u.paper.baselines.self_proximity import SelfProximity, nearest_corners
+from pb4u.physics.terms.collision import REFERENCE_AREA
 from pb4u.scene.packed import PackedGarments
 
 REPULSION, ATTRACTION = "repulsion", "attraction"
@@ -132,7 +133,7 @@ class Repulsion:
     weight: Ramp = field(default_factory=lambda: Ramp(30 / 56, 40 / 56, 2e6))
     clearance: float = 3e-3
     reach: float = 1e-2
-    reference_area: float = 1.6e-4
+    reference_area: float = REFERENCE_AREA
     name = "repulsion"
 
     def energies(

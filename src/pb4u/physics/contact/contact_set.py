@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import torch
@@ -203,7 +202,7 @@ def _renewed(pose: ColliderPose, garments: PackedGarments, x: Tensor, within: fl
     """What was found at the pose, brought up to date for `x`; the same object where nothing had to be searched for."""
     points, known, searched = as_float64(x), pose.found.get(garments), 0
     found = Found.nothing(len(points)) if known is None else known.copy()
-    for world, rows in enumerate(world_rows(garments)):
+    for world, rows in enumerate(garments.world_vertices):
         part, surface = found.rows(rows.start, rows.stop), pose.surfaces[world] if world < len(pose.surfaces) else None
         if surface is not None:
             names = pose.colliders.searched_faces[world]
@@ -226,15 +225,6 @@ def _of_found(found: Found, x: Tensor) -> ContactPlanes:
         triangle=triangle,
         barycentric=barycentric.to(x),
     )
-
-
-def world_rows(garments: PackedGarments) -> list[slice]:
-    """Rows of the vertices of each world of a pack.
-
-    Args:
-        garments: the packed garments.
-    """
-    return [slice(first, stop) for first, stop in pairwise(garments.world_offsets)]
 
 
 def no_planes(x: Tensor) -> ContactPlanes:

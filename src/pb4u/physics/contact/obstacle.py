@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -16,7 +14,7 @@ from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import vertex_areas
 from pb4u.physics.contact.contact_set import MOTION_REACH, ContactPlanes, nearest_planes
-from pb4u.scene.colliders import ColliderFrame, ColliderPose, PackedColliders
+from pb4u.scene.colliders import ColliderFrame, ColliderPose
 from pb4u.scene.packed import PackedGarments
 
 _SPARE = 1e-3
@@ -145,26 +143,15 @@ def sags(garments: PackedGarments, planes: ContactPlanes) -> Tensor:
 
 
 def _positions(pose: ColliderPose) -> np.ndarray:
-    return as_float64(pose.positions)[_touched(pose.colliders)[0]]
-
-
-@lru_cache(maxsize=8)
-def _touched(colliders: PackedColliders) -> tuple[np.ndarray, np.ndarray]:
-    """Packed vertices (vertices,) int64 of the bodies that contact is answered on, and faces (faces, 3) among them."""
-    faces = colliders.contact_faces.cpu().numpy()[np.concatenate(colliders.searched_faces)]
-    vertices, faces = np.unique(faces, return_inverse=True)
-    return vertices, faces.reshape(-1, 3)
-
-
-_KNOWN: WeakKeyDictionary[PackedGarments, tuple[PackedColliders, SurfaceTree, np.ndarray]] = WeakKeyDictionary()
+    return as_float64(pose.positions)[pose.colliders.touched[0]]
 
 
 def _surface(garments: PackedGarments, pose: ColliderPose) -> tuple[SurfaceTree, np.ndarray]:
     """Search among garments and bodies, and areas (body vertices,) [m^2]; made once, from the first pose."""
-    colliders, known = pose.colliders, _KNOWN.get(garments)
-    if known is not None and known[0] is colliders:
-        return known[1:]
-    vertices, faces = _touched(colliders)
+    colliders = pose.colliders
+    if (known := colliders.trees.get(garments)) is not None:
+        return known
+    vertices, faces = colliders.touched
     body, first = _positions(pose), garments.vertex_count
     rest, own, edges, part = (
         values.cpu().numpy()
@@ -182,6 +169,5 @@ def _surface(garments: PackedGarments, pose: ColliderPose) -> tuple[SurfaceTree,
         [*garments.worlds, *np.unique(worlds).tolist()],
         len(body),
     )
-    made = tree, vertex_areas(body, faces)
-    _KNOWN[garments] = (colliders, *made)
+    colliders.trees[garments] = made = tree, vertex_areas(body, faces)
     return made

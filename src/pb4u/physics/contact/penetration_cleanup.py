@@ -42,6 +42,9 @@ squat."""
 _ROUNDING = 1.0 + 1e-9
 """Factor on a squared length within which it is the same."""
 
+_SMALLEST_RADIUS, _LARGEST_PUSH = 0.03, 5e-3
+"""Smallest radius [m] of the body where cloth rests on it, and largest displacement [m] of a vertex in one pass."""
+
 
 @dataclass(frozen=True)
 class FaceClearance:
@@ -51,8 +54,6 @@ class FaceClearance:
 
     Args:
         clearance: distance that the cloth keeps from the surface [m].
-        smallest_radius: smallest radius of the body where cloth rests on it [m].
-        largest_push: largest displacement of a vertex in one pass [m].
         passes: most passes, since a lifted vertex lifts what is beside it too; clothes of 2,500 and 11,000 triangles
             need two to six.
         most_stretch: length over the length at rest up to which an edge is stretched by it. Straps over a shoulder
@@ -61,8 +62,6 @@ class FaceClearance:
     """
 
     clearance: float = 3e-4
-    smallest_radius: float = 0.03
-    largest_push: float = 5e-3
     passes: int = 6
     most_stretch: float = 1.8
 
@@ -117,8 +116,7 @@ class FaceClearance:
         elements = [part for world in worlds for part in self._near(garments, pose, planes, x, world)]
         skin: list[_Skin] = []
         if cover:
-            offsets = garments.world_offsets
-            skin = [_skin(pose.surfaces[world], x, slice(*offsets[world : world + 2])) for world in worlds]
+            skin = [_skin(pose.surfaces[world], x, garments.world_vertices[world]) for world in worlds]
         else:
             elements = [part.chosen(movable[part.corners].all(axis=1)) for part in elements]
         lift = _Lift(np.zeros_like(x), np.zeros(len(x)))
@@ -127,7 +125,7 @@ class FaceClearance:
             elements = [self._lift_middles(lift, x, part) for part in elements]
             for place, (world, places) in enumerate(zip(worlds, skin, strict=False)):
                 skin[place] = self._cover(lift, garments, x, moved, world, places)
-            if not _move(x, *lift, movable, self.largest_push):
+            if not _move(x, *lift, movable, _LARGEST_PUSH):
                 break
         return x
 
@@ -198,7 +196,7 @@ class FaceClearance:
         lengths = garments.vertex_edge_lengths.numpy()
         vertices = np.arange(len(x))[:, None]
         for corners in (vertices, garments.edges.numpy(), garments.faces.numpy()):
-            sag = lengths**2 / (32.0 * self.smallest_radius) if corners.shape[1] > 1 else 0.0
+            sag = lengths**2 / (32.0 * _SMALLEST_RADIUS) if corners.shape[1] > 1 else 0.0
             wanted = np.where(of_world, self.clearance + sag, -np.inf)
             kept = corners[_may_be_near(x, corners, distances, wanted)]
             # What is nearest to a corner bounds what is nearest to the middle.
@@ -228,20 +226,20 @@ class FaceClearance:
         """
         if not len(skin.places):
             return skin
-        first, stop = garments.world_offsets[world : world + 2]
-        cloth, found = garments.surfaces[world].at(x[first:stop].copy()), skin.found
+        rows = garments.world_vertices[world]
+        cloth, found = garments.surfaces[world].at(x[rows].copy()), skin.found
         faces = cloth.surface.faces
-        went = (moved[faces + first] > 0.0).any(axis=1)
+        went = (moved[faces + rows.start] > 0.0).any(axis=1)
         if not skin.new:
             # Where the nearest cloth went bounds what is nearest now.
-            _carry(found, went, x[first:stop], faces)
+            _carry(found, went, x[rows], faces)
             cloth.update_closest(skin.places, found)
         cloth.update_if_nearer(skin.places, found, None if skin.new else went)
         near = np.abs(found.distances) < SKIN_OVER_CLOTH
         cover = SkinCover.of(found, skin.places, skin.normals, cloth)
         low = cover.belongs & near & (cover.heights < self.clearance)
         heights = self.clearance - cover.heights[low]
-        _add(*lift, faces[found.triangle[low]] + first, found.barycentric[low], heights, skin.normals[low])
+        _add(*lift, faces[found.triangle[low]] + rows.start, found.barycentric[low], heights, skin.normals[low])
         if near.all():
             return skin._replace(new=False)
         return _Skin(skin.places[near], skin.normals[near], found.among(near), new=False)

@@ -380,5 +380,4 @@ def _each_vertex(values: Tensor, garments: PackedGarments) -> Tensor:
 
 def _sums(values: Tensor, garments: PackedGarments) -> Tensor:
     """(worlds,) sums of `values` (vertices, 3) over the vertices of each world."""
-    starts, stops = garments.world_offsets[:-1], garments.world_offsets[1:]
-    return torch.stack([values[start:stop].sum() for start, stop in zip(starts, stops, strict=True)])
+    return torch.stack([values[rows].sum() for rows in garments.world_vertices])

@@ -14,15 +14,13 @@ from pb4u.collision.jit import compiled
 from pb4u.physics.contact.contact_set import ContactSet
 from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth
 from pb4u.physics.terms.energy_term import EnergyTerm, dot
+from pb4u.physics.terms.friction import SOFTENING
 from pb4u.physics.terms.pair_stiffness import PairStiffness
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
 
 _PRESSED = 0.2
 """Share of the room between two elements below which they count as pressed no harder: nearer is a pinch, not a load."""
-
-_SOFTENING = 0.8
-"""As in the friction on the body: with all of the softening along the slip, steps overshoot where slipping ends."""
 
 
 @dataclass(frozen=True)
@@ -105,18 +103,14 @@ class ClothFriction(EnergyTerm):
         touching = contacts.cloth_now
         if touching is None:
             return x.new_zeros(step.garments.garment_count)
-        across, limit = self._slip(step, touching, x), self._limit(touching, x)
-        rest = self.smoothing * step.dt
-        magnitude = (across.square().sum(1) + rest * rest).sqrt()
+        _, limit, magnitude, rest = self._sliding(step, touching, x)
         return _by_garment(step.garments, touching.sides, limit * (magnitude - rest))
 
     def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
         touching = contacts.cloth_now
         if touching is None:
             return x.new_zeros(step.garments.garment_count), torch.zeros_like(x)
-        across, limit = self._slip(step, touching, x), self._limit(touching, x)
-        rest = self.smoothing * step.dt
-        magnitude = (across.square().sum(1) + rest * rest).sqrt()
+        across, limit, magnitude, rest = self._sliding(step, touching, x)
         pull = (limit / magnitude)[:, None] * across
         weighted = torch.from_numpy(touching.weights).to(x)[:, :, None] * pull[:, None, :]
         corners = torch.from_numpy(touching.corners).reshape(-1)
@@ -141,10 +135,15 @@ class ClothFriction(EnergyTerm):
         stiffness = self._limit(touching, x).numpy() / magnitude
         along = np.where((length > 1e-12)[:, None], across, _any_across(touching.normals))
         along /= np.linalg.norm(along, axis=1, keepdims=True)
-        softened = stiffness * (1.0 - _SOFTENING * (length / magnitude) ** 2)
+        softened = stiffness * (1.0 - SOFTENING * (length / magnitude) ** 2)
         axes = (np.sqrt(softened)[:, None] * along, np.sqrt(stiffness)[:, None] * np.cross(touching.normals, along))
         rows = [touching.weights[:, :, None] * axis[:, None, :] for axis in axes]
         return PairStiffness(np.concatenate([touching.corners] * 2), np.concatenate(rows))
+
+    def _sliding(self, step: TimeStep, touching: TouchingCloth, x: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
+        """Slip (pairs, 3) [m], greatest force (pairs,) [N], softened length (pairs,) of the slip [m], softening [m]."""
+        across, rest = self._slip(step, touching, x), self.smoothing * step.dt
+        return across, self._limit(touching, x), (across.square().sum(1) + rest * rest).sqrt(), rest
 
     def _slip(self, step: TimeStep, touching: TouchingCloth, x: Tensor) -> Tensor:
         """Slip (pairs, 3) [m] of the nearest points over the step without its part along the normal."""

@@ -27,7 +27,7 @@ from pb4u.scene.scene import STANDARD_GRAVITY, UP
 SLIDING_DOWN = 1e-4
 """Share of the squared slip that always counts, so that sliding straight down costs a little (reference 2.6)."""
 
-_SOFTENING = 0.8
+SOFTENING = 0.8
 """Share of the softening along the slip that the curvature has: with all of it, steps overshoot where slipping ends."""
 
 
@@ -132,12 +132,12 @@ class CompiledFriction(CompiledTerm, Friction):
         _add_gradient(x, *self._law, self._garment, energies, gradient)
 
     def add_stiffness(self, contacts: ContactSet, x: np.ndarray, slots: np.ndarray, stiffness: Stiffness) -> None:
-        _add_stiffness(x, *self._law, _SOFTENING, slots, stiffness.positive)
+        _add_stiffness(x, *self._law, SOFTENING, slots, stiffness.positive)
 
     def tangents(self, step: TimeStep, contacts: ContactSet, x: np.ndarray, pattern: StiffnessPattern) -> list[Tangent]:
         limit, anchor, normal, weights, rest = self._law
         slots, lengths = pattern.slots[self.name][:, 0], np.zeros(len(x))
-        law = limit * pattern.free, anchor, normal, weights, rest, _SOFTENING, slots, lengths
+        law = limit * pattern.free, anchor, normal, weights, rest, SOFTENING, slots, lengths
         return [lambda moves, stiffness, *forces: _follow(x, moves, *law, stiffness.positive, *forces)]
 
 

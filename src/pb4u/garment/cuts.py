@@ -25,7 +25,7 @@ class Neckline:
 
 
 @dataclass(frozen=True)
-class Pattern:
+class Cut:
     """The cut of one garment; lengths for an adult of 1.75 m.
 
     Args:
@@ -72,35 +72,35 @@ class Pattern:
 CREW = Neckline(front=0.055, back=0.0, spread=0.028)
 SCOOP = Neckline(front=0.115, back=0.05, spread=0.038)
 
-PATTERNS: dict[str, Pattern] = {
-    "tshirt": Pattern(
+CUTS: dict[str, Cut] = {
+    "tshirt": Cut(
         "shoulder", "crotch", 0.03, (0.025, 0.030, 0.032, 0.034), taper=(0.08, 0.08),
         neckline=CREW, sleeve=0.62, sleeve_ease=(0.008, 0.026),
     ),
-    "tanktop": Pattern(
+    "tanktop": Cut(
         "shoulder", "crotch", 0.05, (0.014, 0.026, 0.030, 0.033), taper=(0.14, 0.14),
         neckline=SCOOP, armhole_depth=0.035, strap=0.045,
     ),
-    "longsleeve": Pattern(
+    "longsleeve": Cut(
         "shoulder", "crotch", 0.03, (0.022, 0.028, 0.031, 0.034), taper=(0.10, 0.10),
         neckline=CREW, sleeve=1.93, sleeve_ease=(0.008, 0.016),
     ),
-    "dress": Pattern(
+    "dress": Cut(
         "shoulder", "calf", 0.0, (0.014, 0.020, 0.035, 0.035), taper=(0.30, -0.20),
         neckline=SCOOP, armhole_depth=0.03, strap=0.055, loose=True,
     ),
-    "fitted_dress": Pattern(
+    "fitted_dress": Cut(
         "shoulder", "knee", 0.08, (0.010, 0.012, 0.016, 0.034), taper=(0.90, 0.08),
         neckline=Neckline(0.085, 0.02, 0.034), sleeve=0.40, sleeve_ease=(0.007, 0.014), loose=True,
     ),
-    "cardigan": Pattern(
+    "cardigan": Cut(
         "shoulder", "crotch", 0.02, (0.032, 0.036, 0.038, 0.040), taper=(0.06, 0.06),
         neckline=Neckline(0.075, 0.0, 0.030), sleeve=1.93, sleeve_ease=(0.011, 0.022), front_gap=0.08,
     ),
-    "trousers": Pattern(
+    "trousers": Cut(
         "waist", "ankle", 0.025, (0.007, 0.007, 0.016, 0.030), taper=(0.10, 0.10), legs=True,
     ),
-    "skirt": Pattern(
+    "skirt": Cut(
         "waist", "knee", 0.0, (0.007, 0.007, 0.020, 0.035), taper=(0.0, -0.26), loose=True,
     ),
 }  # fmt: skip
