@@ -124,7 +124,7 @@ def test_what_does_not_exist_is_found() -> None:
     for wrong, why in (
         ("pb4u simulat", "no such verb"),
         ("pb4u simulate --garmet dress", "[Nn]o such option"),
-        ("pb4u evaluate --workers two", "--workers"),
+        ("pb4u evaluate --workers two", "integer"),
         ("python tools/none.py", "none.py"),
     ):
         with pytest.raises(Exception, match=why):

@@ -147,7 +147,7 @@ def test_what_is_no_garment_file(tmp_path):
     with pytest.raises(InputError, match="There is no garment file"):
         read_garment(tmp_path / "absent.obj", CLOTH)
     (tmp_path / "cloth.fbx").write_bytes(b"")
-    with pytest.raises(InputError, match=r"the kinds are .obj"):
+    with pytest.raises(InputError, match=r"those end in \.obj.* Blender"):
         read_garment(tmp_path / "cloth.fbx", CLOTH)
     (tmp_path / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\nelement face 7\n")
     with pytest.raises(InputError, match=r"broken.ply"):

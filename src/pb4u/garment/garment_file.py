@@ -128,7 +128,7 @@ def read_source(path: Path, most_triangles: int = MOST_READ) -> PolygonMesh:
         InputError: the file is missing, of another kind, damaged, empty of faces or too large.
     """
     if path.suffix.lower() not in READERS:
-        raise unread_kind(path, "garment", (*READERS, "of sewing patterns .json, .toml or the .npz of `pb4u dress`"))
+        raise unread_kind(path, "garment", (*READERS, "and of sewing patterns .json, .toml, or .npz of `pb4u dress`"))
     if not path.is_file():
         raise InputError(f"There is no garment file {path}.")
 
