@@ -83,8 +83,7 @@ class SolverRefinement:
         self.iterations = iterations
         self.solver = solver or Solver()
         self.potential = potential or IncrementalPotential()
-        self._pressing = Solver(_NEAR_BALANCE, _MOST_PRESSING, settled=_SETTLED)
-        self._pressed_longer = Solver(_ROUGH_TOLERANCE, _MOST_RETRY_ITERATIONS)
+        self._pressing = Solver(_NEAR_BALANCE, settled=_SETTLED)
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         """State of lower incremental potential; its velocity is the displacement over dt.
@@ -109,13 +108,13 @@ class SolverRefinement:
         if depth <= _LEFT_INSIDE:
             return state
         firm = self.potential.with_term(Collision(weight=STIFF_CONTACT_WEIGHT))
-        pressed = self._pressing.minimise(firm.of(step), state.positions).positions
+        pressed = self._pressing.minimise(firm.of(step), state.positions, _MOST_PRESSING).positions
         return replace(state, positions=pressed) if contact.depth(step, pressed) < depth else state
 
     def pressed_past_bodies(self, step: TimeStep, state: State, self_contact: CollisionFree | None) -> State:
         """`state` moved past the bodies; where they turned strained cloth aside, solved again with the faces of bodies.
 
-        Cloth that a few iterations leave strained is solved for as long as a step that is retried.
+        Cloth that a few iterations leave strained is solved until its energy hardly falls.
 
         Args:
             step: the time step.
@@ -130,9 +129,9 @@ class SolverRefinement:
         if not felt or not bool((aside > least).any()) or not _has_failed(step, reached.positions):
             return reached
         pressed = self.potential.pressed_by_bodies().of(step)
-        solved = self._pressing.minimise(pressed, reached.positions)
+        solved = self._pressing.minimise(pressed, reached.positions, _MOST_PRESSING)
         if _has_failed(step, solved.positions):
-            solved = self._pressed_longer.minimise(pressed, solved.positions)
+            solved = self._pressing.minimise(pressed, solved.positions, _MOST_RETRY_ITERATIONS)
         return step.reached(solved.positions)
 
 
