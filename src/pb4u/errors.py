@@ -17,9 +17,9 @@ _ALIASES = {"female": "woman", "male": "man", "pants": "trousers", "jeans": "tro
 """What users call things -> what they are called here."""
 
 _ELSEWHERE = {
-    ("fbx",): "FBX is not read; import it in Blender and export glTF of a body, OBJ of a garment, BVH of a motion",
-    ("mp4", "mov", "avi", "mkv", "webm", "png", "jpg", "jpeg"): "pictures and videos are not read; give the poses that "
-    "GVHMR, WHAM or TRAM find in a video, or the body that SAM 3D Body finds in pictures",
+    ("fbx",): "FBX is not read; import it in Blender and export glTF of a body, OBJ of a garment, BVH of a motion.",
+    ("mp4", "mov", "avi", "mkv", "webm", "png", "jpg", "jpeg"): "Pictures and videos are not read; give the poses that "
+    "GVHMR, WHAM or TRAM find in a video, or the body that SAM 3D Body finds in pictures.",
 }
 """Suffixes of files that programs before pb4u read -> what to do with them."""
 
@@ -162,7 +162,7 @@ def unread_kind(path: Path, kind: str, suffixes: Iterable[str]) -> InputError:
         suffixes: of the kinds that are read.
     """
     suffix = path.suffix.lower().removeprefix(".")
-    hint = next((f" {told[:1].upper()}{told[1:]}." for known, told in _ELSEWHERE.items() if suffix in known), "")
+    hint = next((f" {sentence}" for known, sentence in _ELSEWHERE.items() if suffix in known), "")
     return InputError(f"{path} is of no kind of {kind} file that is read; those end in {', '.join(suffixes)}.{hint}")
 
 

@@ -60,7 +60,7 @@ _LEFT_INSIDE = 1e-3
 _MOST_PRESSING = 5
 """Iterations at which that push ends."""
 
-_MOST_PRESSED = 150_000
+_PRESSING_WORK = 150_000
 """Iterations times triangles that cloth which stays strained is pressed for at most: sixty of 2,500 triangles take a
 second, and sixty of 38,000 would take twenty."""
 
@@ -118,7 +118,7 @@ class SolverRefinement:
     def pressed_past_bodies(self, step: TimeStep, state: State, self_contact: CollisionFree | None) -> State:
         """`state` moved past the bodies; where they turned strained cloth aside, solved again with the faces of bodies.
 
-        Cloth that a few iterations leave strained is solved until its energy hardly falls, or a second is over.
+        Cloth that a few iterations leave strained is solved until its energy hardly falls, or `_PRESSING_WORK` is done.
 
         Args:
             step: the time step.
@@ -135,7 +135,7 @@ class SolverRefinement:
         pressed = self.potential.pressed_by_bodies().of(step)
         solved = self._pressing.minimise(pressed, reached.positions, _MOST_PRESSING)
         if _has_failed(step, solved.positions):
-            longer = min(_MOST_RETRY_ITERATIONS, max(1, _MOST_PRESSED // len(step.garments.faces)))
+            longer = min(_MOST_RETRY_ITERATIONS, max(1, _PRESSING_WORK // len(step.garments.faces)))
             solved = self._pressing.minimise(pressed, solved.positions, longer)
         return step.reached(solved.positions)
 
