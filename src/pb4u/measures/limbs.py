@@ -29,7 +29,7 @@ from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
 
 _ARM = re.compile("arm|elbow|wrist|(left|right)_shoulder")
-"""In the names of an arm's bones, as Anny and the SMPL family have them; arms-away leaves Anny's shoulders as they are."""
+"""In the names of an arm's bones, as Anny and the SMPL family have them; Anny's shoulders are not swung out."""
 
 _BARE, _OUT = 1e-3, 3e-3
 """Skin [m^2] of a limb that lies so far [m] over cloth which it crosses from which on it has come through: 3 cm
