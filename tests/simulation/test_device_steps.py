@@ -72,8 +72,10 @@ def in_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ContactPlanes, "transported_normals", lambda self, pose: self.normals)
 
 
-def on_device(model: AccelerationModel, steps: int, rooms: Rooms, replays: bool = False) -> list[torch.Tensor]:
-    timeline = Timeline.of(ball_scene(frames=steps + 2, cells=7)).to(torch.device("cpu"), rooms)
+def on_device(
+    model: AccelerationModel, steps: int, rooms: Rooms, replays: bool = False, device: str = "cpu"
+) -> list[torch.Tensor]:
+    timeline = Timeline.of(ball_scene(frames=steps + 2, cells=7)).to(torch.device(device), rooms)
     states = states_after(timeline, method_of(model, timeline), timeline.skinned_state(1), steps + 2, replays)
     return [state.positions for state in states]
 
@@ -97,6 +99,21 @@ def test_both_ways_lead_to_the_same_states(
     found = on_device(model, steps, Rooms())
     assert len(found) == steps
     assert float((expected[-1] - expected[0]).abs().max()) > 5e-3
+    for one, other in zip(found, expected, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=near)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.parametrize(("dtype", "near"), [(torch.float64, 1e-8), (torch.float32, 1e-4)])
+@pytest.mark.parametrize("replays", [False, True])
+def test_a_card_leads_to_the_same_states(
+    monkeypatch: pytest.MonkeyPatch, dtype: torch.dtype, near: float, replays: bool, in_tensors: None
+) -> None:
+    take_torch_layers(monkeypatch)
+    model = from_pretrained("pb4u-wide").model.to(dtype)
+    expected = on_host(model, 12)
+    found = on_device(model.to("cuda"), 12, Rooms(), replays, "cuda")
+    assert len(found) == 12
     for one, other in zip(found, expected, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=near)
 

@@ -18,6 +18,7 @@ from pb4u.physics.contact.contact_set import ContactPlanes
 from pb4u.physics.incremental_potential import Energies
 from pb4u.training.budget import Budget
 from pb4u.training.configuration import TrainingConfiguration
+from pb4u.training.distribution import Workers
 from pb4u.training.objective import step_energies
 from pb4u.training.trainer import Trainer
 
@@ -114,6 +115,22 @@ def test_a_step_that_went_wrong_changes_no_weights(
     assert trainer.counters.step == steps
     assert rollout.watch.seen_lost == (fault != "not finite")
     assert trainer.rooms.sizes["faces"] > 5
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_a_real_card_learns_what_a_processor_learns(in_tensors: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ContactPlanes, "transported_normals", lambda self, pose: self.normals)
+    card = Workers(0, 1, torch.device("cuda"))
+    one = trainer_of()
+    other = Trainer(CONJUGATE, Budget(40), ball_data((4, 5)), card, None, Listener())
+    for trainer in (one, other):
+        trainer.gather_statistics()
+        rollout = trainer.begin(1, 2)
+        for _ in range(2):
+            assert trainer.advance(rollout)
+        assert trainer.look_at_outcomes()
+    assert other.counters.step == one.counters.step > 0
+    torch.testing.assert_close(weights(other).cpu(), weights(one), rtol=0, atol=1e-4)
 
 
 def test_what_steps_gave_is_read_once_a_line_of_the_log(in_tensors: None, monkeypatch: pytest.MonkeyPatch) -> None:
