@@ -61,8 +61,8 @@ _MOST_PRESSING = 5
 """Iterations at which that push ends."""
 
 _PRESSING_WORK = 150_000
-"""Iterations times triangles that cloth which stays strained is pressed for at most: sixty of 2,500 triangles take a
-second, and sixty of 38,000 would take twenty."""
+"""Iterations times triangles that cloth which stays strained is solved for at most: sixty of 2,500 triangles take a
+second, and sixty of 38,000 would take forty."""
 
 _TURNED_ASIDE, _OF_AN_EDGE = 1e-2, 0.37
 """How far bodies may turn strained cloth aside before the energies count their faces and edges: a length [m], and on
@@ -88,6 +88,7 @@ class SolverRefinement:
         self.solver = solver or Solver()
         self.potential = potential or IncrementalPotential()
         self._pressing = Solver(_NEAR_BALANCE, settled=_SETTLED)
+        self._carried = BodyMotionWarmStart()
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         """State of lower incremental potential; its velocity is the displacement over dt.
@@ -116,9 +117,11 @@ class SolverRefinement:
         return replace(state, positions=pressed) if contact.depth(step, pressed) < depth else state
 
     def pressed_past_bodies(self, step: TimeStep, state: State, self_contact: CollisionFree | None) -> State:
-        """`state` moved past the bodies; where they turned strained cloth aside, solved again with the faces of bodies.
+        """`state` moved past the bodies; where they turned strained cloth aside, the step solved with the faces of bodies.
 
-        Cloth that a few iterations leave strained is solved until its energy hardly falls, or `_PRESSING_WORK` is done.
+        It is solved from where the body carries the garment, which bodies turn aside less: cloth that was turned aside
+        is crumpled, and takes more iterations to smooth than a step takes to solve. Cloth that a few iterations leave
+        strained is solved until its energy hardly falls, or `_PRESSING_WORK` is done.
 
         Args:
             step: the time step.
@@ -133,10 +136,10 @@ class SolverRefinement:
         if not felt or not bool((aside > least).any()) or not _has_failed(step, reached.positions):
             return reached
         pressed = self.potential.pressed_by_bodies().of(step)
-        solved = self._pressing.minimise(pressed, reached.positions, _MOST_PRESSING)
+        carried = past_bodies(self_contact, step, step.reached(self._carried.positions(step)), apart=False)
+        solved = self._pressing.minimise(pressed, carried.positions, _MOST_PRESSING)
         if _has_failed(step, solved.positions):
-            longer = min(_MOST_RETRY_ITERATIONS, max(1, _PRESSING_WORK // len(step.garments.faces)))
-            solved = self._pressing.minimise(pressed, solved.positions, longer)
+            solved = self._pressing.minimise(pressed, solved.positions, _more_iterations(step))
         return step.reached(solved.positions)
 
 
@@ -170,13 +173,14 @@ class ImplicitSteps(SolverRefinement):
             self.watch(solution)
         return state
 
-    def solved(self, step: TimeStep) -> tuple[State, Solution]:
+    def solved(self, step: TimeStep, iterations: int | None = None) -> tuple[State, Solution]:
         """State at the end of `step`, and what `implicit_steps` tells of its solution.
 
         Args:
             step: the time step.
+            iterations: at most this many an implicit step, in place of its own number.
         """
-        return implicit_steps(self.potential, self.solver, step, self.iterations, self.start)
+        return implicit_steps(self.potential, self.solver, step, iterations or self.iterations, self.start)
 
 
 class SafeguardedRefinement(SolverRefinement):
@@ -208,11 +212,16 @@ class SafeguardedRefinement(SolverRefinement):
         falling = refined.residual > _BALANCED and refined.decrease > _STILL_FALLING
         if not pierced and not (falling and _has_failed(step, refined.positions)):
             return step.reached(refined.positions)
-        state, solved = self.retry.solved(step)
+        state, solved = self.retry.solved(step, _MOST_PRESSING + _more_iterations(step))
         if self.retried:
             self.retried()
         better = (newly_pierced(step, state.positions), solved.residual) < (pierced, refined.residual)
         return state if better else step.reached(refined.positions)
+
+
+def _more_iterations(step: TimeStep) -> int:
+    """Iterations that cloth which stays strained gets at most besides the first few."""
+    return min(_MOST_RETRY_ITERATIONS, max(1, _PRESSING_WORK // len(step.garments.faces)))
 
 
 def _has_failed(step: TimeStep, x: Tensor) -> bool:
