@@ -133,14 +133,15 @@ class SolverRefinement:
         felt = own is not None and own.feels_bodies
         aside = (reached.positions - state.positions).norm(dim=1)
         least = (_OF_AN_EDGE * step.garments.vertex_edge_lengths).clamp_max(_TURNED_ASIDE)
-        if not felt or not bool((aside > least).any()) or not _has_failed(step, reached.positions):
+        failed = _failed_faces(step, reached.positions)
+        if not felt or not bool((aside > least).any()) or not failed:
             return reached
         pressed = self.potential.pressed_by_bodies().of(step)
         carried = past_bodies(self_contact, step, step.reached(self._carried.positions(step)), apart=False)
         solved = self._pressing.minimise(pressed, carried.positions, _MOST_PRESSING)
-        if _has_failed(step, solved.positions):
+        if _failed_faces(step, solved.positions):
             solved = self._pressing.minimise(pressed, solved.positions, _more_iterations(step))
-        return step.reached(solved.positions)
+        return step.reached(solved.positions) if _failed_faces(step, solved.positions) < failed else reached
 
 
 class ImplicitSteps(SolverRefinement):
@@ -210,7 +211,7 @@ class SafeguardedRefinement(SolverRefinement):
         refined = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
         pierced = newly_pierced(step, refined.positions)
         falling = refined.residual > _BALANCED and refined.decrease > _STILL_FALLING
-        if not pierced and not (falling and _has_failed(step, refined.positions)):
+        if not pierced and not (falling and _failed_faces(step, refined.positions)):
             return step.reached(refined.positions)
         state, solved = self.retry.solved(step, _MOST_PRESSING + _more_iterations(step))
         if self.retried:
@@ -224,9 +225,9 @@ def _more_iterations(step: TimeStep) -> int:
     return min(_MOST_RETRY_ITERATIONS, max(1, _PRESSING_WORK // len(step.garments.faces)))
 
 
-def _has_failed(step: TimeStep, x: Tensor) -> bool:
+def _failed_faces(step: TimeStep, x: Tensor) -> int:
     garments = step.garments
-    return bool((face_strains(x, garments.faces, garments.inverse_rest_shape) > _FAILED_STRAIN).any())
+    return int((face_strains(x, garments.faces, garments.inverse_rest_shape) > _FAILED_STRAIN).sum())
 
 
 def collision_free_move(self_contact: CollisionFree | None, step: TimeStep, before: State, wanted: State) -> State:
