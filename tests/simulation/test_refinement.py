@@ -19,18 +19,18 @@ from pb4u.simulation import refinement
 from pb4u.simulation.first_frame import Settled
 from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.pierced_edges import newly_pierced
-from pb4u.simulation.refinement import ImplicitSteps, SafeguardedRefinement, SolverRefinement
+from pb4u.simulation.refinement import ImplicitSteps, SafeguardedRefinement, SolverRefinement, past_bodies
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.timeline import Timeline
 
 POTENTIAL = IncrementalPotential().with_self_contact()
 
 
-def first_step(speed: float) -> TimeStep:
+def first_step(speed: float, potential: IncrementalPotential = POTENTIAL) -> TimeStep:
     """The first step of a sheet that lies on a ball, which begins to move at `speed` [m/s]."""
     timeline = Timeline.of(ball_scene(speed=speed))
-    method = StepMethod(contact=ContactResponse(), self_contact=POTENTIAL.self_contact)
-    return timeline.step_from(Settled(potential=POTENTIAL).start(timeline, method))
+    method = StepMethod(contact=ContactResponse(), self_contact=potential.self_contact)
+    return timeline.step_from(Settled(potential=potential).start(timeline, method))
 
 
 def left_behind(step: TimeStep) -> State:
@@ -96,3 +96,25 @@ def test_what_a_push_leaves_inside_the_body_is_pressed_out_and_gains_no_speed() 
     pressed = refinement.respond_with_cloth(step, inside, contact)
     assert contact.depth(step, pressed.positions) < 0.2 * depth
     assert pressed.velocities is inside.velocities
+
+
+@pytest.mark.parametrize("solves", [True, False])
+def test_cloth_that_bodies_turned_aside_is_solved_anew_and_the_less_strained_kept(
+    monkeypatch: pytest.MonkeyPatch, solves: bool
+) -> None:
+    potential = IncrementalPotential().with_self_contact(bodies=True)
+    step, refining = first_step(4.0, potential), SolverRefinement(5, potential=potential)
+    behind = step.reached(free_flight(step))
+    turned = past_bodies(potential.self_contact, step, behind, apart=True)
+    assert float((turned.positions - behind.positions).norm(dim=1).max()) > refinement._TURNED_ASIDE
+    strained = refinement._failed_faces(step, turned.positions)
+    assert strained > 0
+    if not solves:
+        crumpled = refining._pressing.minimise(potential.of(step), step.state.positions, 1)
+        worse = replace(crumpled, positions=crumpled.positions * torch.tensor([3.0, 1.0, 1.0]))
+        monkeypatch.setattr(refining._pressing, "minimise", lambda *_: worse)
+    kept = refining.pressed_past_bodies(step, behind, potential.self_contact)
+    if solves:
+        assert refinement._failed_faces(step, kept.positions) < strained
+    else:
+        assert torch.equal(kept.positions, turned.positions)

@@ -117,11 +117,11 @@ class SolverRefinement:
         return replace(state, positions=pressed) if contact.depth(step, pressed) < depth else state
 
     def pressed_past_bodies(self, step: TimeStep, state: State, self_contact: CollisionFree | None) -> State:
-        """`state` moved past the bodies; where they turned strained cloth aside, the step solved with the faces of bodies.
+        """`state` moved past the bodies; solved anew, with the faces of bodies, where they turned strained cloth aside.
 
-        It is solved from where the body carries the garment, which bodies turn aside less: cloth that was turned aside
-        is crumpled, and takes more iterations to smooth than a step takes to solve. Cloth that a few iterations leave
-        strained is solved until its energy hardly falls, or `_PRESSING_WORK` is done.
+        That begins where the body carries the garment: cloth that was turned aside is crumpled, and takes more
+        iterations to smooth than a step takes to solve. What a few leave strained is solved until its energy hardly
+        falls, or `_PRESSING_WORK` is done. Of both ways the one that leaves fewer faces strained is kept.
 
         Args:
             step: the time step.
