@@ -31,8 +31,10 @@ CONJUGATE = replace(
 )
 
 
-def trainer_of(configuration: TrainingConfiguration = CONJUGATE, on_card: bool = True, steps: int = 40) -> Trainer:
-    trainer = Trainer(configuration, Budget(steps), ball_data((4, 5)), ALONE, None, Listener())
+def trainer_of(
+    configuration: TrainingConfiguration = CONJUGATE, on_card: bool = True, steps: int = 40, workers: Workers = ALONE
+) -> Trainer:
+    trainer = Trainer(configuration, Budget(steps), ball_data((4, 5)), workers, None, Listener())
     if on_card:
         trainer.rooms = trainer.loader.wardrobe.rooms = Rooms()
     return trainer
@@ -120,9 +122,7 @@ def test_a_step_that_went_wrong_changes_no_weights(
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 def test_a_real_card_learns_what_a_processor_learns(in_tensors: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ContactPlanes, "transported_normals", lambda self, pose: self.normals)
-    card = Workers(0, 1, torch.device("cuda"))
-    one = trainer_of()
-    other = Trainer(CONJUGATE, Budget(40), ball_data((4, 5)), card, None, Listener())
+    one, other = trainer_of(), trainer_of(workers=Workers(0, 1, torch.device("cuda")))
     for trainer in (one, other):
         trainer.gather_statistics()
         rollout = trainer.begin(1, 2)

@@ -52,13 +52,13 @@ _ROUGH_TOLERANCE = 1.0
 """Residual [standard gravity] to which a retry solves the step: no more than steps refined as usual may have."""
 
 _MOST_RETRY_ITERATIONS = 60
-"""Iterations at which a retry ends; a running dress needed 8 to 31."""
+"""Iterations at which a retry ends, sooner on fine meshes; a running dress needed 8 to 31."""
 
 _LEFT_INSIDE = 1e-3
 """Depth [m] from which on a vertex that the response leaves inside the body is pushed out by stiff contact."""
 
 _MOST_PRESSING = 5
-"""Iterations at which that push ends."""
+"""Iterations at which that push ends, and after which a step past bodies goes on only with cloth still strained."""
 
 _PRESSING_WORK = 150_000
 """Iterations times triangles that cloth which stays strained is solved for at most: sixty of 2,500 triangles take a
@@ -88,7 +88,7 @@ class SolverRefinement:
         self.solver = solver or Solver()
         self.potential = potential or IncrementalPotential()
         self._pressing = Solver(_NEAR_BALANCE, settled=_SETTLED)
-        self._carried = BodyMotionWarmStart()
+        self._warm_start = BodyMotionWarmStart()
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         """State of lower incremental potential; its velocity is the displacement over dt.
@@ -117,11 +117,11 @@ class SolverRefinement:
         return replace(state, positions=pressed) if contact.depth(step, pressed) < depth else state
 
     def pressed_past_bodies(self, step: TimeStep, state: State, self_contact: CollisionFree | None) -> State:
-        """`state` moved past the bodies; solved anew, with the faces of bodies, where they turned strained cloth aside.
+        """`state` moved past the bodies; where they turned strained cloth aside, the step retried with their faces.
 
-        That begins where the body carries the garment: cloth that was turned aside is crumpled, and takes more
-        iterations to smooth than a step takes to solve. What a few leave strained is solved until its energy hardly
-        falls, or `_PRESSING_WORK` is done. Of both ways the one that leaves fewer faces strained is kept.
+        A retry begins at the body-motion warm start: cloth that was turned aside is crumpled, and takes more iterations
+        to smooth than a step takes to solve. Where a few leave strained cloth, more follow until the energy hardly
+        falls, or `_PRESSING_WORK` is done. Of both states the one with fewer strained faces is kept.
 
         Args:
             step: the time step.
@@ -133,12 +133,14 @@ class SolverRefinement:
         felt = own is not None and own.feels_bodies
         aside = (reached.positions - state.positions).norm(dim=1)
         least = (_OF_AN_EDGE * step.garments.vertex_edge_lengths).clamp_max(_TURNED_ASIDE)
+        if not felt or not bool((aside > least).any()):
+            return reached
         failed = _failed_faces(step, reached.positions)
-        if not felt or not bool((aside > least).any()) or not failed:
+        if not failed:
             return reached
         pressed = self.potential.pressed_by_bodies().of(step)
-        carried = past_bodies(self_contact, step, step.reached(self._carried.positions(step)), apart=False)
-        solved = self._pressing.minimise(pressed, carried.positions, _MOST_PRESSING)
+        start = past_bodies(self_contact, step, step.reached(self._warm_start.positions(step)), apart=False)
+        solved = self._pressing.minimise(pressed, start.positions, _MOST_PRESSING)
         if _failed_faces(step, solved.positions):
             solved = self._pressing.minimise(pressed, solved.positions, _more_iterations(step))
         return step.reached(solved.positions) if _failed_faces(step, solved.positions) < failed else reached
@@ -205,7 +207,7 @@ class SafeguardedRefinement(SolverRefinement):
         super().__init__(iterations, Solver(_NEAR_BALANCE, settled=_SETTLED), potential)
         self.retried = retried
         rough = Solver(_ROUGH_TOLERANCE, _MOST_RETRY_ITERATIONS)
-        self.retry = ImplicitSteps(solver=rough, potential=potential, start=BodyMotionWarmStart().positions)
+        self.retry = ImplicitSteps(solver=rough, potential=potential, start=self._warm_start.positions)
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         refined = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
