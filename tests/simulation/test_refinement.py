@@ -11,7 +11,7 @@ from test_pierced_edges import pierced
 
 from pb4u.geometry.principal_stretch import face_strains
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.physics.solver.implicit_steps import free_flight
+from pb4u.physics.solver.implicit_steps import free_flight, substep_count
 from pb4u.physics.solver.newton_solver import Solver
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
@@ -98,12 +98,14 @@ def test_what_a_push_leaves_inside_the_body_is_pressed_out_and_gains_no_speed() 
     assert pressed.velocities is inside.velocities
 
 
-@pytest.mark.parametrize("solves", [True, False])
+@pytest.mark.parametrize(("solves", "parts"), [(True, 1), (True, 3), (False, 1)])
 def test_cloth_that_bodies_turned_aside_is_solved_anew_and_the_less_strained_kept(
-    monkeypatch: pytest.MonkeyPatch, solves: bool
+    monkeypatch: pytest.MonkeyPatch, solves: bool, parts: int
 ) -> None:
     potential = IncrementalPotential().with_self_contact(bodies=True)
     step, refining = first_step(4.0, potential), SolverRefinement(5, potential=potential)
+    edges = 1e-4 * substep_count(step, 1e-4) / min(step.garments.mean_edge_lengths)
+    monkeypatch.setattr(refinement, "_EDGES_IN_A_PART", 1.01 * edges / parts)
     behind = step.reached(free_flight(step))
     turned = past_bodies(potential.self_contact, step, behind, apart=True)
     assert float((turned.positions - behind.positions).norm(dim=1).max()) > refinement._TURNED_ASIDE

@@ -18,11 +18,12 @@ LARGEST_MOTION = 0.15
 """How far the body under the cloth may move in one implicit step [m]: less than a limb is thick."""
 
 
-def substep_count(step: TimeStep) -> int:
+def substep_count(step: TimeStep, largest_motion: float = LARGEST_MOTION) -> int:
     """Number of implicit steps that `step` is divided into so that no part of the body near the cloth passes it.
 
     Args:
         step: the time step.
+        largest_motion: how far [m] such a part may move in one of them.
     """
     planes, bodies = step.contacts.now, step.bodies
     if planes is None or bodies is None:
@@ -31,7 +32,7 @@ def substep_count(step: TimeStep) -> int:
     if not bool(near.any()):
         return 1
     motion = planes.interpolated(bodies.motion, bodies.colliders.contact_faces)[near]
-    return max(1, math.ceil(float(motion.norm(dim=1).max()) / LARGEST_MOTION))
+    return max(1, math.ceil(float(motion.norm(dim=1).max()) / largest_motion))
 
 
 def free_flight(step: TimeStep) -> Tensor:
@@ -66,10 +67,22 @@ def implicit_steps(
     Raises:
         DivergedError: the state is not finite.
     """
-    count, state, made, converged = substep_count(step), step.state, 0, True
+    count = substep_count(step)
+    return in_parts(step, count, lambda part: solver.minimise(potential.of(part), start(part), iterations))
+
+
+def in_parts(step: TimeStep, count: int, solve: Callable[[TimeStep], Solution]) -> tuple[State, Solution]:
+    """The state at the end of `step`, and the solution of the last of its parts, as `implicit_steps` gives them.
+
+    Args:
+        step: the time step.
+        count: number of parts.
+        solve: solves one of them.
+    """
+    state, made, converged = step.state, 0, True
     for k in range(count):
         part = step if count == 1 else step.part(k, count, state)
-        solution = solver.minimise(potential.of(part), start(part), iterations)
+        solution = solve(part)
         state = part.reached(solution.positions)
         made, converged = made + solution.iterations, converged and solution.converged
     solution = replace(solution, iterations=made, converged=converged)
