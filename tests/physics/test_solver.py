@@ -152,6 +152,20 @@ def test_a_body_that_moves_a_metre_in_a_frame_is_followed() -> None:
     assert float((inside.distance < -5e-3).double().mean()) < 0.02
 
 
+def test_a_solve_ends_where_it_is_told_to() -> None:
+    _, step, start = dressed_capsule(20, 10)
+    asked: list[torch.Tensor] = []
+
+    def until(x: torch.Tensor) -> bool:
+        asked.append(x)
+        return len(asked) == 2
+
+    solution = Solver().minimise(step, start, until=until)
+    assert solution.iterations == 2
+    assert torch.equal(asked[-1], solution.positions)
+    assert not solution.converged
+
+
 def test_one_step_is_enough_for_a_slow_body() -> None:
     garments, step, _ = dressed_capsule(20, 10)
     assert substep_count(step.step) == 1

@@ -70,7 +70,7 @@ def test_strained_cloth_that_iterations_free_of_nothing_is_left(
     refining = SafeguardedRefinement(1, POTENTIAL, lambda: made.append(1))
     torn = replace(refining.solver.minimise(POTENTIAL.of(step), left_behind(step).positions, 1), decrease=freed)
     assert torn.residual > refinement._BALANCED
-    monkeypatch.setattr(refining.solver, "minimise", lambda *_: torn)
+    monkeypatch.setattr(refining.solver, "minimise", lambda *_, **__: torn)
     refining.refine(step, left_behind(step))
     assert made == counted
 
@@ -114,9 +114,23 @@ def test_cloth_that_bodies_turned_aside_is_solved_anew_and_the_less_strained_kep
     if not solves:
         crumpled = refining._pressing.minimise(potential.of(step), step.state.positions, 1)
         worse = replace(crumpled, positions=crumpled.positions * torch.tensor([3.0, 1.0, 1.0]))
-        monkeypatch.setattr(refining._pressing, "minimise", lambda *_: worse)
+        monkeypatch.setattr(refining._pressing, "minimise", lambda *_, **__: worse)
     kept = refining.pressed_past_bodies(step, behind, potential.self_contact)
     if solves:
         assert refinement._failed_faces(step, kept.positions) < strained
     else:
         assert torch.equal(kept.positions, turned.positions)
+
+
+@pytest.mark.parametrize(
+    ("strained", "ends", "last"),
+    [([3, 3], True, 10), ([4, 2, 1, 1], True, 20), ([3, 0], True, 10), ([3, 0, 0, 0], False, None)],
+)
+def test_a_retry_ends_where_no_fewer_faces_are_strained_and_perhaps_where_none_is(
+    monkeypatch: pytest.MonkeyPatch, strained: list[int], ends: bool, last: int | None
+) -> None:
+    step, counts = first_step(speed=0.3), iter(strained)
+    monkeypatch.setattr(refinement, "_failed_faces", lambda *_: next(counts))
+    smooth, made = refinement._Smoothing(step, ends=ends), range(1, 5 * len(strained) + 1)
+    ended = [number for number in made if smooth.ended(step.state.positions)]
+    assert ended == ([] if last is None else [last])

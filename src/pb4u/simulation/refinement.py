@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -58,11 +59,11 @@ _LEFT_INSIDE = 1e-3
 """Depth [m] from which on a vertex that the response leaves inside the body is pushed out by stiff contact."""
 
 _MOST_PRESSING = 5
-"""Iterations at which that push ends, and after which a step past bodies goes on only with cloth still strained."""
+"""Iterations at which that push ends, and from one count of strained faces to the next in a retry."""
 
 _PRESSING_WORK = 150_000
-"""Iterations times triangles that cloth which stays strained is solved for at most: sixty of 2,500 triangles take a
-second, and sixty of 38,000 would take forty."""
+"""Iterations times triangles of a retry at most, besides its first few: sixty of 2,500 triangles take a second, and
+sixty of 38,000 would take forty."""
 
 _EDGES_IN_A_PART = 8.0
 """Edge lengths that the body under the cloth may move in one part of a retry. A jump of 38,000 triangles, where it
@@ -125,9 +126,9 @@ class SolverRefinement:
         """`state` moved past the bodies; where they turned strained cloth aside, the step retried with their faces.
 
         A retry begins at the body-motion warm start: cloth that was turned aside is crumpled, and takes more iterations
-        to smooth than a step takes to solve. Where the body moves by many edges, the retry goes in parts. Where a few
-        iterations leave strained cloth, more follow until the energy hardly falls, or `_PRESSING_WORK` is done. Of both
-        states the one with fewer strained faces is kept.
+        to smooth than a step takes to solve. Where the body moves by many edges, the retry goes in parts. It ends where
+        no face is strained, and where no fewer are than a few iterations before: cloth pressed between two limbs stays
+        strained. Of both states the one with fewer strained faces is kept.
 
         Args:
             step: the time step.
@@ -144,14 +145,12 @@ class SolverRefinement:
         failed = _failed_faces(step, reached.positions)
         if not failed:
             return reached
-        pressed = self.potential.pressed_by_bodies()
+        pressed, most = self.potential.pressed_by_bodies(), _most_iterations(step)
 
         def solve(part: TimeStep) -> Solution:
             start = past_bodies(self_contact, part, part.reached(self._warm_start.positions(part)), apart=False)
-            solved = self._pressing.minimise(pressed.of(part), start.positions, _MOST_PRESSING)
-            if not _failed_faces(part, solved.positions):
-                return solved
-            return self._pressing.minimise(pressed.of(part), solved.positions, _more_iterations(part))
+            smooth = _Smoothing(part, ends=True)
+            return self._pressing.minimise(pressed.of(part), start.positions, most, until=smooth.ended)
 
         longest = _EDGES_IN_A_PART * min(step.garments.mean_edge_lengths)
         retried, _ = in_parts(step, substep_count(step, longest), solve)
@@ -183,19 +182,10 @@ class ImplicitSteps(SolverRefinement):
         self.watch, self.start = watch, start
 
     def refine(self, step: TimeStep, predicted: State) -> State:
-        state, solution = self.solved(step)
+        state, solution = implicit_steps(self.potential, self.solver, step, self.iterations, self.start)
         if self.watch:
             self.watch(solution)
         return state
-
-    def solved(self, step: TimeStep, iterations: int | None = None) -> tuple[State, Solution]:
-        """State at the end of `step`, and what `implicit_steps` tells of its solution.
-
-        Args:
-            step: the time step.
-            iterations: at most this many an implicit step, in place of its own number.
-        """
-        return implicit_steps(self.potential, self.solver, step, iterations or self.iterations, self.start)
 
 
 class SafeguardedRefinement(SolverRefinement):
@@ -218,8 +208,7 @@ class SafeguardedRefinement(SolverRefinement):
     ) -> None:
         super().__init__(iterations, Solver(_NEAR_BALANCE, settled=_SETTLED), potential)
         self.retried = retried
-        rough = Solver(_ROUGH_TOLERANCE, _MOST_RETRY_ITERATIONS)
-        self.retry = ImplicitSteps(solver=rough, potential=potential, start=self._warm_start.positions)
+        self._rough = Solver(_ROUGH_TOLERANCE)
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         refined = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
@@ -227,16 +216,42 @@ class SafeguardedRefinement(SolverRefinement):
         falling = refined.residual > _BALANCED and refined.decrease > _STILL_FALLING
         if not pierced and not (falling and _failed_faces(step, refined.positions)):
             return step.reached(refined.positions)
-        state, solved = self.retry.solved(step, _MOST_PRESSING + _more_iterations(step))
+
+        def solve(part: TimeStep) -> Solution:
+            start, smooth = self._warm_start.positions(part), _Smoothing(part, ends=False)
+            return self._rough.minimise(self.potential.of(part), start, _most_iterations(step), until=smooth.ended)
+
+        state, solved = in_parts(step, substep_count(step), solve)
         if self.retried:
             self.retried()
         better = (newly_pierced(step, state.positions), solved.residual) < (pierced, refined.residual)
         return state if better else step.reached(refined.positions)
 
 
-def _more_iterations(step: TimeStep) -> int:
-    """Iterations that cloth which stays strained gets at most besides the first few."""
-    return min(_MOST_RETRY_ITERATIONS, max(1, _PRESSING_WORK // len(step.garments.faces)))
+class _Smoothing:
+    """Ends a solve that leaves no fewer faces strained than some iterations before, and perhaps one that leaves none.
+
+    Args:
+        step: the time step.
+        ends: whether the solve ends where no face is strained.
+    """
+
+    def __init__(self, step: TimeStep, *, ends: bool) -> None:
+        self.step, self.ends = step, ends
+        self.iterations, self.failed = 0, math.inf
+
+    def ended(self, x: Tensor) -> bool:
+        """Whether the iteration that led to `x` (vertices, 3) [m] is the last."""
+        self.iterations += 1
+        if self.iterations % _MOST_PRESSING:
+            return False
+        before, self.failed = self.failed, _failed_faces(self.step, x)
+        return self.failed >= before if self.failed else self.ends
+
+
+def _most_iterations(step: TimeStep) -> int:
+    """Iterations of a retry at most."""
+    return _MOST_PRESSING + min(_MOST_RETRY_ITERATIONS, max(1, _PRESSING_WORK // len(step.garments.faces)))
 
 
 def _failed_faces(step: TimeStep, x: Tensor) -> int:

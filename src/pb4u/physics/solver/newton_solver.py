@@ -129,6 +129,7 @@ class Solver:
         start: Tensor,
         iterations: int | None = None,
         watch: Callable[[Iteration], None] | None = None,
+        until: Callable[[Tensor], bool] | None = None,
     ) -> Solution:
         """Minimise `potential` from `start`; pinned vertices stay where they are.
 
@@ -137,13 +138,15 @@ class Solver:
             start: (vertices, 3) float64 [m] any prediction, pinned vertices where they will be.
             iterations: Newton iterations after which it stops; `max_iterations` by default.
             watch: called before every iteration, and at the end.
+            until: asked after every iteration of the positions (vertices, 3) [m]; the iteration of which it is true is
+                the last.
 
         Raises:
             DivergedError: `start` or its energy is not finite.
         """
         self._prepare(potential)
         with without_library_threads():
-            return self._minimise(potential, start, iterations, watch)
+            return self._minimise(potential, start, iterations, watch, until)
 
     def _minimise(
         self,
@@ -151,6 +154,7 @@ class Solver:
         start: Tensor,
         iterations: int | None,
         watch: Callable[[Iteration], None] | None,
+        until: Callable[[Tensor], bool] | None,
     ) -> Solution:
         potential, garments = potential.compiled(), potential.step.garments
         limit = self.max_iterations if iterations is None else iterations
@@ -161,7 +165,7 @@ class Solver:
         potential, start = _reached(potential, lifted)
         cloth = potential.contacts.cloth
         contact = TrackedContact(potential, start)
-        x, iteration, damping_level, decrease = start, 0, -1, float("inf")
+        x, iteration, damping_level, decrease, ended = start, 0, -1, float("inf"), False
         while True:
             frozen = contact.potential_at(x).with_cloth(cloth)
             energies, gradient = frozen.energies_and_gradient(x)
@@ -171,7 +175,7 @@ class Solver:
                 raise DivergedError(potential.step.state.frame + 1, "the solver met positions without finite energy")
             if watch is not None:
                 watch(Iteration(iteration, total, residual))
-            if residual <= self.tolerance or iteration >= limit or decrease < self.settled:
+            if residual <= self.tolerance or iteration >= limit or decrease < self.settled or ended:
                 solved = residual <= self.tolerance
                 return Solution(x, energies, residual, iteration, solved, decrease)
             highest = min(damping_level + 1, len(_DAMPING_LEVELS) - 1)
@@ -182,6 +186,7 @@ class Solver:
             x, cloth, energy = moved
             decrease = float((energy / garments.world_weights).max())
             iteration += 1
+            ended = until is not None and until(x)
 
     def _prepare(self, potential: StepPotential) -> None:
         garments, elements = potential.step.garments, potential.elements()
