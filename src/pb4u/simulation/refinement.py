@@ -67,7 +67,7 @@ sixty of 38,000 would take forty."""
 
 _EDGES_IN_A_PART = 8.0
 """Edge lengths that the body under the cloth may move in one part of a retry. A jump of 38,000 triangles, where it
-moves by twenty to forty, was strained by 9.3 in one part, and is by 1.4. At 2,500 triangles a running leg moves by
+moves by twenty to forty-five, was strained by 9.3 in one part, and is by 1.4. At 2,500 triangles a running leg moves by
 seven."""
 
 _TURNED_ASIDE, _OF_AN_EDGE = 1e-2, 0.37
