@@ -2,6 +2,8 @@
 
 python tools/comparison.py --out FOLDER [--only pb4u,mgn] [--seed 0] [--steps 8000] [--ship]
 python tools/comparison.py --out FOLDER --only wide,wide-half-width --steps 4000    # `pb4u-wide` and its departures
+python tools/comparison.py --out FOLDER --only literal,literal-by-rule --steps 2500 --weights \
+    weights/literal_small/best.safetensors    # the paper's network, trained on with K drawn or by another law
 
 The weights of the end are compared, so that all have had the same budget. Those of the departures are also written
 beside their folders, with the further passes that the shipped network takes. Killed at any instant, the same command
@@ -32,6 +34,22 @@ AS_SHIPPED = (
 """The shipped network's losses. Its further passes are not learnt from: they are taken in use alone."""
 WIDE = ("network=pb4u_small_conjugate", *AS_SHIPPED)
 
+TRAINED_ON = (
+    "curriculum.learning_rate=2e-5", "curriculum.halvings=2", "curriculum.window_steps=((0.0, 5),)",
+    "curriculum.collision_weight=((0.0, 5e3),)",
+)  # fmt: skip
+DRAWN = "most_propagation_steps=30"
+"""As in the release. On a training level of 1,200 triangles the rule itself gives 3 to 7 steps, and 28 at 38,400."""
+
+LITERAL = {
+    "literal": ("network=literal_small", DRAWN, *TRAINED_ON),
+    "literal-by-rule": ("network=literal_small", *LAW_OF_K, *TRAINED_ON),
+    "literal-without-control": ("network=literal_small_without_propagation_control", *LAW_OF_K, *TRAINED_ON),
+    "literal-without-scaling": ("network=literal_small_without_update_scaling", DRAWN, *TRAINED_ON),
+    "literal-without-both": ("network=literal_small_without_both", *LAW_OF_K, *TRAINED_ON),
+}
+"""The paper's network and its ablations, which go on from weights that --weights gives."""
+
 COMPARED = {
     "pb4u": ("network=pb4u_small_carried",),
     "mgn": ("network=mgn_small",),
@@ -60,18 +78,21 @@ COMPARED = {
 WEIGHTS = Path(__file__).parents[1] / "src" / "pb4u" / "simulation" / "weights"
 
 
-def train(name: str, folder: Path, pack: Path, steps: int, seed: int) -> None:
+def train(name: str, folder: Path, options: argparse.Namespace) -> None:
     """Train one network, or go on with it."""
     if (folder / "ended.json").exists():
         return
-    chosen = COMPARED[name]
+    preset, chosen = ("literal_small", LITERAL[name]) if name in LITERAL else ("comparison", COMPARED[name])
+    pack = options.out / f"{preset}.npz"
+    if not pack.exists():
+        subprocess.run(["pb4u", "assets", "pack", str(pack), "--preset", preset], check=True)
     if (folder / "last.safetensors").exists():
         wanted = ["--resume", str(folder)]
     else:
         shutil.rmtree(folder, ignore_errors=True)
-        settings = [part for setting in (*chosen, f"seed={seed}") for part in ("--set", setting)]
-        wanted = ["--preset", "comparison", "--steps", str(steps), "--out", str(folder), *settings]
-        wanted += ["--pack", str(pack)]
+        settings = [part for setting in (*chosen, f"seed={options.seed}") for part in ("--set", setting)]
+        wanted = ["--preset", preset, "--steps", str(options.steps), "--out", str(folder), *settings]
+        wanted += ["--pack", str(pack)] + (["--weights", options.weights] if options.weights else [])
     print(f"{name}: pb4u train {' '.join(wanted)}", flush=True)
     subprocess.run(["pb4u", "train", *wanted, "--json", str(folder.with_suffix(".json"))], check=True)
     ended = json.loads(folder.with_suffix(".json").read_text())
@@ -94,18 +115,16 @@ def main() -> None:
     parser.add_argument("--only", default=",".join(COMPARED))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--steps", type=int, default=8000)
+    parser.add_argument("--weights", help="weights that every training begins with; default: drawn")
     parser.add_argument("--ship", action="store_true")
     options = parser.parse_args()
     names = options.only.split(",")
-    if unknown := [name for name in names if name not in COMPARED]:
-        parser.error(f"there is no {unknown[0]}; there are {', '.join(COMPARED)}")
+    if unknown := [name for name in names if name not in COMPARED and name not in LITERAL]:
+        parser.error(f"there is no {unknown[0]}; there are {', '.join((*COMPARED, *LITERAL))}")
     options.out.mkdir(parents=True, exist_ok=True)
-    pack = options.out / "pack.npz"
-    if not pack.exists():
-        subprocess.run(["pb4u", "assets", "pack", str(pack), "--preset", "comparison"], check=True)
     for name in names:
         folder = options.out / (name if options.seed == 0 else f"{name}-seed{options.seed}")
-        train(name, folder, pack, options.steps, options.seed)
+        train(name, folder, options)
         if name.startswith("wide") and (folder / "ended.json").exists():
             write_as_used(folder)
         if options.ship and (folder / "ended.json").exists():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ import pytest
 import torch
 from tests.training.ball_data import TINY, ball_data
 
-from pb4u.simulation.checkpoint import load_checkpoint, save_checkpoint
+from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.paper.network_presets import PRESETS
+from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
 from pb4u.training.configuration import training_to_json
 from pb4u.training.packed_data import load_training_data, save_training_data
 from pb4u.training.run_folder import RunFolder
@@ -71,6 +74,20 @@ def test_a_training_begins_with_given_weights_and_says_so(pb4u: Call, pack: Path
     assert load_checkpoint(second / "final.safetensors").record.optimiser_steps == 9
 
 
+def test_weights_go_on_under_another_law_of_k_and_scaling(pb4u: Call, pack: Path, tmp_path: Path) -> None:
+    start, run = tmp_path / "start.safetensors", tmp_path / "run"
+    configuration, wanted = (
+        replace(PRESETS[name][0], width=4) for name in ("literal_small", "literal_small_without_both")
+    )
+    record = TrainingRecord(1.0 / 30.0, (0.045, 0.045), (5, 5))
+    save_checkpoint(start, AccelerationModel(configuration.network()), configuration, record)
+    begun = ("--pack", pack, "--preset", "smoke", "--weights", start, "--out", run, "--device", "cpu", "--steps", 2)
+    laws = ("--set", "network=literal_small_without_both", "--set", "network.width=4")
+    ended = pb4u("train", *begun, *laws, "--set", "most_propagation_steps=0", *QUICK[2:6])
+    assert ended.code == 0, ended.err
+    assert load_checkpoint(run / "final.safetensors").configuration == wanted
+
+
 def test_of_a_training_s_folder_the_best_weights_are_the_model(
     pb4u: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,6 +115,7 @@ def test_of_a_training_s_folder_the_best_weights_are_the_model(
         (("--out", "run", "--minutes", "0"), "must be above 0"),
         (("--out", "run", "--weights", "pb4u-smal"), "There is no model file pb4u-smal"),
         (("--out", "run", "--weights", "pb4u-small", "--set", "network.width=4"), "bring their own network"),
+        (("--out", "run", "--weights", "pb4u-small", "--set", "network=hood_small"), "bring their own network"),
         (("--out", "run", "--weights", "pb4u-small", "--preset", "wide"), "add --set network.conjugate=True"),
         (("--resume", "."), "is no folder of a training"),
         (("--out", "run", "--device", "tpu", "--pack", "pack.npz"), "auto, cpu or cuda"),

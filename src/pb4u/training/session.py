@@ -6,13 +6,14 @@ import contextlib
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from pkgutil import resolve_name
 from types import FrameType
 from typing import Any
 
 from pb4u.errors import InputError
+from pb4u.network.acceleration_model import NetworkConfiguration
 from pb4u.network.propagation_control import FixedSteps
 from pb4u.progress import announced
 from pb4u.simulation.checkpoint import built_in_models, from_pretrained, training_record_from_json
@@ -33,8 +34,8 @@ from pb4u.training.trainer import Trainer
 
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that ask a training to save and end; Windows has no SIGHUP."""
-INFERENCE_ONLY = frozenset({"network.passes", "network.conjugate", "network.further_passes", "network.descent_size"})
-"""Settings of a network that its weights do not hang on."""
+WITHOUT_WEIGHTS = frozenset({"control", "scaling", "passes", "conjugate", "further_passes", "descent_size"})
+"""Fields of a network that its weights do not hang on."""
 BUILT_IN = "built in"
 """Origin of the data of a run whose configuration alone makes them again."""
 
@@ -77,13 +78,12 @@ def train(request: TrainingRequest) -> dict[str, Any]:
 def _configured(request: TrainingRequest) -> tuple[TrainingConfiguration, Budget]:
     preset = request.preset or "small"
     configuration: TrainingConfiguration = resolve_name("pb4u.paper.training_presets:training_preset")(preset)
-    if request.weights is not None:
-        keys = {setting.partition("=")[0].strip() for setting in request.set}
-        if any(key.split(".")[0] == "network" for key in keys - INFERENCE_ONLY):
-            free = " and ".join(sorted(INFERENCE_ONLY))
-            raise InputError(f"--weights bring their own network: of its settings {free} alone can be given.")
-        configuration = replace(configuration, network=from_pretrained(request.weights).configuration)
+    begun = None if request.weights is None else from_pretrained(request.weights).configuration
+    if begun is not None:
+        configuration = replace(configuration, network=begun)
     configuration = with_settings(configuration, request.set)
+    if begun is not None:
+        _refuse_another_network(begun, configuration.network)
     if configuration.loss_weight == PROGRESS and not configuration.network.conjugate:
         raise InputError(
             "loss_weight=progress goes by what the search of conjugate passes frees: add --set network.conjugate=True "
@@ -98,6 +98,19 @@ def _configured(request: TrainingRequest) -> tuple[TrainingConfiguration, Budget
     if steps is None and request.minutes is None:
         steps = resolve_name("pb4u.paper.training_presets:DEFAULT_STEPS")[preset]
     return configuration, Budget(steps, request.minutes)
+
+
+def _refuse_another_network(begun: NetworkConfiguration, wanted: NetworkConfiguration) -> None:
+    """Refuse settings of a network that the weights of `begun` cannot take."""
+    kind = type(begun)
+    other = type(wanted) is not kind or [
+        field.name
+        for field in fields(kind)
+        if field.name not in WITHOUT_WEIGHTS and getattr(begun, field.name) != getattr(wanted, field.name)
+    ]
+    if other:
+        free = " and ".join(sorted(WITHOUT_WEIGHTS & {field.name for field in fields(kind)}))
+        raise InputError(f"--weights bring their own network: --set can change its {free} alone.")
 
 
 def _created(
