@@ -210,9 +210,10 @@ def test_the_triangles_that_would_hold_go_with_the_limb_and_the_edges() -> None:
     assert 0.03 < edges / (2.0 * np.sin(np.radians(11.0))) < 0.06 or enough == 100 * np.ceil(
         0.08 * garment.triangle_count
     )
-    said = watch.sentence("upperarm02.R", 1, "pb4u-wide")
+    said = watch.sentence("upperarm02.R", 1, "pb4u-wide", contact=True)
     assert "Frame 1: upperarm02.R has come through the cloth" in said
     assert f"--triangles {enough} or --arms-away 8" in said
     watch.enough = {"foot.L": None}
-    assert "--model solver." in watch.sentence("foot.L", 3, "quick-solver")
-    assert "slower" in watch.sentence("foot.L", 3, "solver")
+    assert "--model solver." in watch.sentence("foot.L", 3, "quick-solver", contact=True)
+    assert "slower" in watch.sentence("foot.L", 3, "solver", contact=True)
+    assert "leave out --contact off." in watch.sentence("foot.L", 3, "pb4u-wide", contact=False)

@@ -219,7 +219,7 @@ def _trajectory(
         expected = scene.total_frames, each * (slowness() if each * scene.total_frames > _WORTH_MEASURING else 1.0)
         told = opened.enter_context(announced(f"{count:,} triangles, {simulator.name}", "step", say, expected=expected))
         header = simulator.header(scene)
-        watched = _LimbWarnings(scene, header, simulator.name)
+        watched = _LimbWarnings(scene, header, simulator.name, run.contact)
         if live is None:
             return roll_out(run, simulator, scene, file, record, told, kept, watched), watched
         caches = opened.enter_context(LiveCaches(live, header, run.fps, run.written_frames))
@@ -238,10 +238,10 @@ def _trajectory(
 class _LimbWarnings:
     """Warns of each limb that comes through cloth in the frame in which it does."""
 
-    def __init__(self, scene: Scene, header: TrajectoryHeader, model: str) -> None:
+    def __init__(self, scene: Scene, header: TrajectoryHeader, model: str, contact: bool) -> None:
         from pb4u.measures.limbs import Bones, LimbWatch
 
-        self.scene, self.model = scene, model
+        self.scene, self.model, self.contact = scene, model, contact
         self.watch = LimbWatch(Bones.of(scene, scene.frames, scene.fps), header)
         self.rows: list[np.ndarray] = []
 
@@ -250,7 +250,7 @@ class _LimbWarnings:
         self.rows.append(self.watch.through(number, frame.positions, frame.body_positions))
         for bone in self.watch.enough:
             if bone not in known:
-                warn(self.watch.sentence(bone, number, self.model))
+                warn(self.watch.sentence(bone, number, self.model, self.contact))
 
     def over(self, trajectory: Trajectory) -> tuple[np.ndarray, LimbWatch]:
         """Which bones are through cloth in the frames of `trajectory`, as `watched` gives it."""

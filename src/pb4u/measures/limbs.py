@@ -179,15 +179,18 @@ class LimbWatch:
         enough = 100 * math.ceil(count * min((edge / holds) ** 2, _MOST_FINER) / 100)
         return enough if enough > count else None
 
-    def sentence(self, bone: str, frame: int, model: str) -> str:
+    def sentence(self, bone: str, frame: int, model: str, contact: bool) -> str:
         """What is said of a limb when it is found first.
 
         Args:
             bone: its name, one of `enough`.
             frame: number of the frame.
             model: that simulates.
+            contact: whether the run holds cloth off bodies.
         """
         enough = self.enough[bone]
+        if not contact:
+            return f"Frame {frame}: {bone} has come through the cloth; nothing holds it: leave out --contact off."
         if enough is not None:
             why, way = "its triangles are too large for it", f"--triangles {enough}"
         else:
