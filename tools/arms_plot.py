@@ -1,25 +1,22 @@
-"""Plots the four networks with and without control and scaling across triangles, from the tables of `pb4u evaluate`.
+"""Plots networks that differ in propagation control and scaling across triangles, from the tables of `pb4u evaluate`.
 
-python tools/arms_plot.py docs/results/arms/*.md --out docs/results/arms/across_triangles.png
+python tools/arms_plot.py docs/results/literal/*.md --out docs/results/literal/across_triangles.png
+
+A column's name without its ending -seedN is the network; a dot is a seed, a line their geometric mean. Models without
+an ending, such as the start and the solver, are dotted.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
 
-ARMS = {
-    "control and scaling": ("both-parts", "by-rule"),
-    "without propagation control": ("without-control",),
-    "without update scaling": ("without-scaling",),
-    "without both": ("without-both",),
-}
-"""What each network is called, and how its column begins."""
-
-MEASURES = {"excess height [mm]": "excess height / the start's", "energy / reference": "energy / the solver's"}
+MEASURES = ("excess height [mm]", "total loss [J]", "distance from the solver's [mm]")
+SEED = re.compile(r"-seed\d+$")
 
 
 def cells(page: str) -> dict[tuple[int, str, str], float]:
@@ -39,7 +36,7 @@ def cells(page: str) -> dict[tuple[int, str, str], float]:
 
 
 def main() -> None:
-    """Draw a panel a measure, a line an arm through the mean over seeds, and a dot a seed."""
+    """Draw a panel a measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("tables", nargs="+", type=Path)
     parser.add_argument("--out", type=Path, required=True)
@@ -47,29 +44,28 @@ def main() -> None:
     import matplotlib.pyplot as plt
 
     points: dict[tuple[str, str], dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
+    trained = set()
     for table in options.tables:
-        found = cells(table.read_text())
-        for (triangles, measure, column), value in found.items():
-            for arm, beginnings in ARMS.items():
-                if column.startswith(beginnings):
-                    start = found[triangles, measure, "warm-start"] if measure.startswith("excess") else 1.0
-                    points[measure, arm][triangles].append(value / start)
-    figure, panels = plt.subplots(1, 2, figsize=(11, 4.2), constrained_layout=True)
-    for axes, (measure, label) in zip(panels, MEASURES.items(), strict=True):
-        for arm in ARMS:
-            levels = sorted(points[measure, arm])
-            means = [np.exp(np.mean(np.log(points[measure, arm][level]))) for level in levels]
-            (line,) = axes.plot(levels, means, label=arm)
-            for level in levels:
-                values = points[measure, arm][level]
+        for (triangles, measure, column), value in cells(table.read_text()).items():
+            name = SEED.sub("", column)
+            points[measure, name][triangles].append(value)
+            if name != column:
+                trained.add(name)
+    figure, panels = plt.subplots(1, len(MEASURES), figsize=(15, 4.4), constrained_layout=True)
+    levels = sorted({level for each in points.values() for level in each})
+    for axes, measure in zip(panels, MEASURES, strict=True):
+        for name in sorted({name for _, name in points}, key=lambda name: (name not in trained, name)):
+            at = sorted(points[measure, name])
+            means = [np.exp(np.mean(np.log(np.maximum(points[measure, name][level], 1e-6)))) for level in at]
+            (line,) = axes.plot(at, means, "-" if name in trained else ":", label=name)
+            for level in at:
+                values = points[measure, name][level]
                 axes.plot([level] * len(values), values, "o", color=line.get_color(), markersize=4)
-        axes.set(xscale="log", yscale="log", xlabel="triangles (trained on 1,200)", ylabel=label)
+        axes.set(xscale="log", yscale="log", xlabel="triangles (trained on 1,200)", ylabel=measure)
         axes.set_xticks(levels, [f"{level:,}" for level in levels])
         axes.minorticks_off()
-    panels[0].set_yticks([0.7, 0.8, 0.9, 1.0, 1.1], ["0.7", "0.8", "0.9", "1", "1.1"])
-    panels[1].set_yticks(marks := [1, 2, 5, 10, 20, 50, 100, 200], map(str, marks))
-    panels[0].axhline(1.0, color="grey", linewidth=0.8, linestyle=":")
-    panels[1].legend()
+    panels[0].set_ylim(bottom=1.0)
+    panels[-1].legend()
     figure.savefig(options.out, dpi=110)
 
 
