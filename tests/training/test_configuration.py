@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pb4u.errors import InputError
@@ -94,4 +95,9 @@ def test_the_literal_arms_differ_in_control_and_scaling_alone() -> None:
     assert all(replace(arm, control=full.control, scaling=full.scaling) == full for arm in changed)
     assert [arm.control == full.control for arm in changed] == [False, True, False]
     assert [arm.scaling == full.scaling for arm in changed] == [True, False, False]
-    assert training_preset("literal_small").most_propagation_steps == 0
+
+
+def test_the_literal_network_learns_every_k_that_the_rule_gives_up_to_32_times_its_triangles() -> None:
+    network = NETWORKS["literal_small"]
+    finest = network.scaling.reference_length / np.sqrt(32.0)
+    assert training_preset("literal_small").most_propagation_steps >= network.control.distance / finest
