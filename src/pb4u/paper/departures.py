@@ -116,6 +116,6 @@ def _training(configuration: Pb4uConfiguration, checkpoint: Checkpoint) -> list[
     if [least, most] == by_rule:
         return []
     return [
-        f"In training the number of propagation steps was drawn from {least} to {most}, as in the release; the paper names "
-        "the rule alone."
+        f"In training the number of propagation steps was drawn from {least} to {most}, as in the release; the paper "
+        "names the rule alone."
     ]
