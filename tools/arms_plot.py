@@ -1,6 +1,6 @@
 """Plots networks that differ in propagation control and scaling across triangles, from the tables of `pb4u evaluate`.
 
-python tools/arms_plot.py docs/results/literal/*.md --out docs/results/literal/across_triangles.png
+python tools/arms_plot.py docs/results/literal/to_9600_triangles.md --out docs/results/literal/across_triangles.png
 
 A column's name without its ending -seedN is the network; a dot is a seed, a line their geometric mean. Models without
 an ending, such as the start and the solver, are dotted.

@@ -38,17 +38,15 @@ TRAINED_ON = (
     "curriculum.learning_rate=2e-5", "curriculum.halvings=2", "curriculum.window_steps=((0.0, 5),)",
     "curriculum.collision_weight=((0.0, 5e3),)",
 )  # fmt: skip
-DRAWN = "most_propagation_steps=30"
-"""As in the release. On a training level of 1,200 triangles the rule itself gives 3 to 7 steps, and 28 at 38,400."""
 
 LITERAL = {
-    "literal": ("network=literal_small", DRAWN, *TRAINED_ON),
+    "literal": ("network=literal_small", *TRAINED_ON),
     "literal-by-rule": ("network=literal_small", *LAW_OF_K, *TRAINED_ON),
     "literal-without-control": ("network=literal_small_without_propagation_control", *LAW_OF_K, *TRAINED_ON),
-    "literal-without-scaling": ("network=literal_small_without_update_scaling", DRAWN, *TRAINED_ON),
+    "literal-without-scaling": ("network=literal_small_without_update_scaling", *TRAINED_ON),
     "literal-without-both": ("network=literal_small_without_both", *LAW_OF_K, *TRAINED_ON),
 }
-"""The paper's network and its ablations, which go on from weights that --weights gives."""
+"""The paper's network and its ablations, which go on from weights that --weights gives; K is drawn, by the preset."""
 
 COMPARED = {
     "pb4u": ("network=pb4u_small_carried",),
@@ -121,6 +119,8 @@ def main() -> None:
     names = options.only.split(",")
     if unknown := [name for name in names if name not in COMPARED and name not in LITERAL]:
         parser.error(f"there is no {unknown[0]}; there are {', '.join((*COMPARED, *LITERAL))}")
+    if options.weights is None and (begun := [name for name in names if name in LITERAL]):
+        parser.error(f"{begun[0]} goes on from weights: add --weights weights/literal_small/best.safetensors")
     options.out.mkdir(parents=True, exist_ok=True)
     for name in names:
         folder = options.out / (name if options.seed == 0 else f"{name}-seed{options.seed}")

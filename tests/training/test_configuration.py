@@ -97,7 +97,7 @@ def test_the_literal_arms_differ_in_control_and_scaling_alone() -> None:
     assert [arm.scaling == full.scaling for arm in changed] == [True, False, False]
 
 
-def test_the_literal_network_learns_every_k_that_the_rule_gives_up_to_32_times_its_triangles() -> None:
+def test_the_literal_network_learns_the_k_of_its_mean_edge_length_up_to_32_times_its_triangles() -> None:
     network = NETWORKS["literal_small"]
     finest = network.scaling.reference_length / np.sqrt(32.0)
     assert training_preset("literal_small").most_propagation_steps >= network.control.distance / finest

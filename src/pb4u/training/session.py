@@ -103,13 +103,9 @@ def _configured(request: TrainingRequest) -> tuple[TrainingConfiguration, Budget
 def _refuse_another_network(begun: NetworkConfiguration, wanted: NetworkConfiguration) -> None:
     """Refuse settings of a network that the weights of `begun` cannot take."""
     kind = type(begun)
-    other = type(wanted) is not kind or [
-        field.name
-        for field in fields(kind)
-        if field.name not in WITHOUT_WEIGHTS and getattr(begun, field.name) != getattr(wanted, field.name)
-    ]
-    if other:
-        free = " and ".join(sorted(WITHOUT_WEIGHTS & {field.name for field in fields(kind)}))
+    names = {field.name for field in fields(kind)}
+    if type(wanted) is not kind or any(getattr(begun, n) != getattr(wanted, n) for n in names - WITHOUT_WEIGHTS):
+        free = " and ".join(sorted(names & WITHOUT_WEIGHTS))
         raise InputError(f"--weights bring their own network: --set can change its {free} alone.")
 
 
