@@ -25,8 +25,8 @@ class TrainingRequest:
         pack: Training data that `pb4u assets pack` wrote; default: made from the preset.
         recordings: Folder of recordings to train on as well: CMU's as SUBJECT/TRIAL.amc beside SUBJECT.asf, VTO's .pkl,
             AMASS's .npz, .bvh.
-        weights: Begin with these weights and their network, as in --preset wide; --set network=NAME may differ from it in
-            control and scaling. Default: drawn.
+        weights: Begin with these weights and their network, as in --preset wide; --set network=NAME may differ from it
+            in control and scaling. Default: drawn.
         set: Replace a field of the preset, as in network.width=64. Repeatable.
         device: auto, cpu or cuda.
 
