@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from numbers import Integral, Real
@@ -19,12 +18,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pb4u.errors import InputError, refuse_unknown
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.io.atomic_file import replace_file
+from pb4u.io.toml_file import read_tables
 from pb4u.options import Flag, described, require_fitting
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 if TYPE_CHECKING:
     from pb4u.body.animated_body import AnimatedBody
@@ -243,7 +238,7 @@ class Run:
         Args:
             given: value by name. `garment` is one, or a list, inner first, and replaces all garments with what belongs
                 to them; the other entries of a garment are one for all, or a list with one each, None for what stays.
-                `body` replaces its shape too, `motion` its crop.
+                `body` replaces what belongs to it too (shape, clip, parts, what is omitted), `motion` crop and clip.
             folder: folder from which relative files are found; None leaves them as they are.
 
         Raises:
@@ -262,11 +257,10 @@ class Run:
                     each if value is None else replace(each, **{name: value})
                     for each, value in zip(worn, each_one, strict=True)
                 ]
-        if "body" in values:
-            values.setdefault("body_shape", {})
-        if "motion" in values:
-            values.setdefault("crop", None)
-        return replace(self, garments=tuple(worn), **values)
+        belongings = {"body": ("clip", "body_parts", "omitted"), "motion": ("crop", "clip")}
+        replaced = {other: None for name, others in belongings.items() if name in values for other in others}
+        shape: dict[str, Any] = {"body_shape": {}} if "body" in values else {}
+        return replace(self, garments=tuple(worn), **{**replaced, **shape, **values})
 
     def simulate(self, path: str | Path | None = None, progress: Progress | None = None) -> Trajectory:
         """Trajectory of the run; see `pb4u.simulation.run_simulation.simulate`.
@@ -356,37 +350,6 @@ def _files(record: type) -> tuple[str, ...]:
 
 ENTRIES = (*entries("garments"), *entries("scene"), *entries("run"))
 """Every entry of a scene file; no two sections have one of the same name."""
-
-
-def read_tables(path: Path, kind: str) -> dict[str, Any]:
-    """The tables of a TOML file.
-
-    Args:
-        path: the file.
-        kind: what it is, such as "a scene file".
-
-    Raises:
-        InputError: it is no TOML.
-    """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        reason = "it is no text" if isinstance(error, UnicodeDecodeError) else error
-        raise InputError(f"{path} cannot be read as TOML, which {kind} is: {reason}.") from None
-
-
-def with_companions(path: Path) -> list[Path]:
-    """A file and those that are read with it: the skeleton of a trial, the mesh of a point cache and its cache.
-
-    Args:
-        path: the file.
-    """
-    suffixes = {".amc": (".asf",), ".pc2": (".obj",), ".obj": (".pc2", ".mdd"), ".mdd": (".obj",)}
-    beside = suffixes.get(path.suffix.lower(), ())
-    if path.suffix.lower() == ".npy":  # of TRAM
-        return [path, *{each for up in path.absolute().parents[:2] if (each := up / "camera.npy").is_file()}]
-    near = (each for each in path.absolute().parent.glob("*") if each.suffix.lower() in beside)
-    return [path, *(each for each in near if each.suffix.lower() == ".asf" or each.stem == path.stem)]
 
 
 _OF_ARRAYS = {

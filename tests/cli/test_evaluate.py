@@ -91,3 +91,13 @@ def test_failed_rollouts_end_with_1_and_their_sentence(pb4u: Callable, tmp_path:
     )
     assert "Traceback" not in ended.err
     assert (tmp_path / "run" / "report.html").exists()
+
+
+def test_plots_may_stay_where_they_are_and_a_file_is_no_folder(pb4u: Callable, tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("mine")
+    ended = pb4u("evaluate", *TINY, "--motions", "walk", "--out", tmp_path / "run", "--plots", tmp_path / "taken")
+    assert (ended.code, "--plots writes a folder" in ended.err, (tmp_path / "run").exists()) == (1, True, False)
+    plots = tmp_path / "run" / "plots"
+    ended = pb4u("evaluate", *TINY, "--motions", "walk", "--out", tmp_path / "run", "--plots", plots)
+    assert ended.code == 0, ended.err
+    assert any(plots.iterdir())

@@ -326,3 +326,15 @@ def test_a_conversion_that_is_ended_leaves_no_part_of_a_file(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["t.gif", "t.npz"]
     assert (tmp_path / "t.npz").read_bytes() == before
     assert (tmp_path / "t.gif").read_text() == "an earlier one"
+
+
+def test_the_files_that_a_file_names_are_kept(files: Path, pb4u: Callable) -> None:
+    Path("skirt.svg").write_text("mine")
+    Path("skirt.toml").write_text('svg = "skirt.svg"\nseams = []\n[panels]\n')
+    ended = pb4u("dress", "skirt.toml", "--out", "skirt.svg")
+    assert "would overwrite skirt.svg, which is read" in ended.err
+    Path("a room.bin").write_bytes(b"mine")
+    Path("room.gltf").write_text('{"buffers": [{"uri": "a%20room.bin"}, {"uri": "data:,"}], "images": [{}]}')
+    ended = pb4u("check", "tshirt", "--body", "room.gltf", "--json", "a room.bin")
+    assert "would overwrite a room.bin, which is read" in ended.err
+    assert (Path("skirt.svg").read_text(), Path("a room.bin").read_bytes()) == ("mine", b"mine")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from tests.garment.cloth_shapes import saved as cloth_file, triangle_tube
 
+from pb4u.cli.run_flags import run_of
 from pb4u.run import Run, WornGarment
 from pb4u.scene.trajectory import Trajectory
 
@@ -81,6 +82,24 @@ def test_a_flag_also_replaces_what_belonged_to_what_it_replaces(saved: Saved) ->
     assert (kept.crop, kept.keep_lead_in, kept.garments[0].pins) == ((3, 9), True, "hem")
     other = saved("scene.toml", "--body", "woman", "--motion", "dance", "--drop-lead-in")
     assert (other.body_shape, other.crop, other.keep_lead_in) == ({}, None, False)
+    Path("cast.toml").write_text(
+        '[scene]\nbody = "cast.glb"\nbody_parts = "skin"\nclip = "dance"\nomitted = "hands.json"\n'
+    )
+    alone = saved("cast.toml", "--body", "woman")
+    assert (alone.clip, alone.body_parts, alone.omitted) == (None, None, None)
+    assert (saved("cast.toml", "--motion", "walk").clip, saved("cast.toml", "--seed", 1).clip) == (None, "dance")
+
+
+def test_a_tack_of_one_garment_leaves_those_of_the_others(saved: Saved) -> None:
+    Path("scene.toml").write_text(
+        '[[garments]]\ngarment = "tshirt"\ntacks = [[1, 2]]\n[[garments]]\ngarment = "skirt"\ntacks = [[3, 4]]\n'
+    )
+    assert [each.tacks for each in saved("scene.toml", "--tack", "skirt=7:8").garments] == [((1, 2),), ((7, 8),)]
+
+
+def test_as_released_takes_one_pass() -> None:
+    assert run_of(Run(), {"as_released": "pb4u"}).passes == 1
+    assert run_of(Run(), {"as_released": "pb4u", "passes": 2}).passes == 2
 
 
 def test_two_garments_are_simulated_and_told_apart(

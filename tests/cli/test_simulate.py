@@ -233,7 +233,7 @@ def moving_body(pb4u: Callable, tmp_path: Path) -> Path:
 
 def test_a_sequence_of_vertices_takes_no_motion_crop_or_pose(pb4u: Callable, moving_body: Path, tmp_path: Path) -> None:
     call = ("simulate", "--garment", tmp_path / "dress.obj", "--body", moving_body, *SMALL[2:])
-    for flags in (("--crop", "0:2"), ("--arms-away", 8)):
+    for flags in (("--crop", "0:2"), ("--arms-away", 8), ("--recorded-fps", 60)):
         ended = pb4u(*call, *flags, "--out", tmp_path / "a.npz")
         assert ended.code == 1
         assert f"so {flags[0]} cannot be applied" in ended.err.strip().splitlines()[-1]

@@ -8,6 +8,7 @@ import pytest
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import MATERIALS
+from pb4u.garment.pins import resolve_pins
 from pb4u.garment.tacks import tacked
 from pb4u.geometry.triangle_mesh import face_areas
 from pb4u.run import Run, WornGarment
@@ -65,3 +66,10 @@ def test_tacks_are_kept_in_a_scene_file(tmp_path) -> None:
     assert again.garments[1].tacks == ()
     with pytest.raises(InputError, match="Tacks are pairs"):
         WornGarment("tshirt", tacks=[[1, 2, 3]])
+
+
+def test_pins_of_sewn_vertices_are_the_seam_and_nothing_beside_it() -> None:
+    garment = tacked(strips(0.08), [(4, 6)])
+    seam = np.flatnonzero(np.isclose(garment.vertices[:, 0], 0.24))
+    for listed in ([4], [6]):
+        assert np.flatnonzero(resolve_pins(listed, garment)).tolist() == seam.tolist()

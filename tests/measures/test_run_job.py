@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.body.characters import write_doll
 
-from pb4u.dataset.planning import together
+from pb4u.dataset.planning import footprints, together
 from pb4u.jobs import job_folder
 from pb4u.jobs.job import Failure, JobPack, jobs_of
 from pb4u.measures import run_job
@@ -117,3 +118,25 @@ def test_what_a_card_takes_whole_is_packed(monkeypatch: pytest.MonkeyPatch) -> N
     packs = together([*jobs, *others])
     assert [len(jobs_of(pack)) for pack in packs] == [MOST_TOGETHER, 2, 1, 1]
     assert sorted(each.key for pack in packs for each in jobs_of(pack)) == sorted(job.key for job in [*jobs, *others])
+
+
+def test_a_drawing_counts_for_the_pattern_that_names_it(tmp_path: Path) -> None:
+    pattern, drawing = tmp_path / "skirt.toml", tmp_path / "skirt.svg"
+    pattern.write_text('svg = "skirt.svg"\n')
+    run, keys = replace(RUN, garments=(WornGarment(str(pattern)),)), set()
+    for content in ("one", "two"):
+        drawing.write_text(content)
+        keys.add(JobPlanner().job(run).key)
+    assert len(keys) == 2
+
+
+def test_a_character_plays_its_own_clip_unless_it_is_given_a_motion(tmp_path: Path) -> None:
+    run = replace(RUN, motion=None, body=str(write_doll(tmp_path / "doll.glb")))
+    alone, chosen = JobPlanner().job(run), JobPlanner().job(replace(run, clip="slide"))
+    assert (alone.run.motion, alone.labels["motion"]) == (None, "own")
+    assert (chosen.run.motion, chosen.labels["motion"]) == (None, "slide")
+    assert JobPlanner().job(replace(run, motion="dance")).labels["motion"] == "dance"
+    of_clip, of_walk = footprints(
+        [replace(alone, run=replace(alone.run, frames=None)), replace(alone, run=replace(alone.run, frames=60))]
+    )
+    assert of_clip < of_walk

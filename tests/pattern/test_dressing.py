@@ -1,11 +1,16 @@
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.pattern.patterns import skirt, trousers, vest
 
 import pb4u
 from pb4u.body.library import load_body
+from pb4u.cli.check import check
+from pb4u.dataset.planning import footprints
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.body_form import BodyForm
 from pb4u.garment.fit import RestBody
@@ -13,6 +18,7 @@ from pb4u.garment.material import MATERIALS
 from pb4u.garment.repair import repair
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.obj_file import read_obj, write_obj
+from pb4u.measures.job_planner import JobPlanner
 from pb4u.pattern import files
 from pb4u.pattern.body_measurements import shoulder_height, trunk_girths
 from pb4u.pattern.dressing import Dressed, _Sewing, carried, dress
@@ -22,6 +28,7 @@ from pb4u.pattern.mesh import mesh_pattern
 from pb4u.pattern.pattern import Panel, Pattern, Seam
 from pb4u.pattern.placement import around, crotch_height
 from pb4u.pattern.thin_body import SewingBody
+from pb4u.run import Run, WornGarment
 
 TRIANGLES = 300
 
@@ -237,3 +244,16 @@ def test_the_body_fills_out_from_straight_arms_to_its_rest(body):
     tips = [straight[arm.tip].mean(axis=0) for arm in arms]
     # The hand lies on the line of the arm, in the frontal plane through the shoulder.
     assert all(abs(tip[2] - arm.joints[0, 2]) < 0.02 for tip, arm in zip(tips, arms, strict=True))
+
+
+def test_a_dressed_garment_is_checked_and_planned_by_its_own_triangles(dressed, body, tmp_path, cache):
+    file = tmp_path / "skirt.npz"
+    write_worn(file, dressed, body)
+    check(str(file), json=str(tmp_path / "found.json"))
+    found = json.loads((tmp_path / "found.json").read_text())["garment"]
+    assert (found["refused"], found["held_by"]) == (False, "waistband")
+    with pytest.raises(InputError, match="--fix mends a garment from a mesh file"):
+        check(str(file), fix=tmp_path / "mended.obj")
+    job = JobPlanner().job(Run((WornGarment(str(file)),), frames=10, lead_in=0))
+    own, twice = footprints([job, replace(job, run=job.run.with_entries({"triangles": 2 * len(dressed.mesh.faces)}))])
+    assert own < twice

@@ -44,6 +44,8 @@ def test_what_a_clip_leaves_no_room_for_is_refused(tmp_path):
         make_scene("tshirt", doll, "walk", clip="slide")
     with pytest.raises(InputError, match="performs its own clip, so --crop cannot be applied"):
         make_scene("tshirt", doll, crop=(0, 2))
+    with pytest.raises(InputError, match="performs its own clip, so --recorded-fps cannot be applied"):
+        make_scene("tshirt", doll, recorded_fps=60.0)
     with pytest.raises(InputError, match='has no clip "run"; it has slide'):
         make_scene("tshirt", doll, clip="run")
 

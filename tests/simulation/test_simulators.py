@@ -11,7 +11,7 @@ import torch
 from ball_scene import Ball, ball_scene, sheet
 
 from pb4u.collision.crossings import crossings
-from pb4u.errors import InputError
+from pb4u.errors import InputError, Pb4uError
 from pb4u.garment.dressing import AttachedPlacement
 from pb4u.measures.metrics import measure
 from pb4u.physics.incremental_potential import IncrementalPotential
@@ -22,7 +22,7 @@ from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.first_frame import AsPlaced, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.penetration_response import ContactResponse
-from pb4u.simulation.run_simulation import roll_out
+from pb4u.simulation.run_simulation import frame_count, roll_out
 from pb4u.simulation.simulator import RunRecord, SkinningSimulator
 from pb4u.simulation.step import StepMethod, take
 from pb4u.simulation.stepwise_simulator import SolverSimulator, StepwiseSimulator
@@ -122,6 +122,22 @@ def test_a_failure_is_told_in_frames_of_the_scenes_own_rate() -> None:
     run = Run(frames=16, fps=60.0)
     trajectory = roll_out(run, simulator, ball_scene(frames=8, lead_in=0), record=record)
     assert record.failed_at == trajectory.frame_count == 9
+
+
+def test_a_run_that_is_lost_in_its_lead_in_says_so_however_it_is_kept(tmp_path: Path) -> None:
+    scene, simulator, says = ball_scene(frames=8, lead_in=4), FreeFall(fails_at=2), "2 frames before the first one"
+    with pytest.raises(Pb4uError, match=says):
+        simulator.simulate(scene)
+    with pytest.raises(Pb4uError, match=says):
+        roll_out(Run(frames=8), simulator, scene)
+    with pytest.raises(Pb4uError, match=says):
+        roll_out(Run(frames=8), simulator, scene, tmp_path / "a.npz")
+
+
+def test_the_frames_of_a_run_are_known_before_it() -> None:
+    scene = ball_scene(frames=8, lead_in=0)
+    for run in (Run(fps=60.0), Run(frames=9, fps=60.0), Run(fps=24.0), Run(frames=8)):
+        assert roll_out(run, SkinningSimulator(), scene).frame_count == frame_count(run, scene)
 
 
 def test_what_was_simulated_is_kept_when_the_state_fails(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def check(
         str | None, typer.Option(metavar="NAME|FILE", help="Motion to read and retarget as well.", show_default=False)
     ] = None,
     crop: CropFlag = None,
-    triangles: Annotated[int | None, typer.Option(help="Triangles of a built-in garment.")] = None,
+    triangles: Annotated[int | None, typer.Option(help="Triangles of a built-in garment or a pattern.")] = None,
     fix: Annotated[
         Path | None,
         typer.Option(
@@ -82,9 +82,9 @@ def check(
     keep_inputs([*names, body, motion], [("--fix", fix), ("--json", json)])
     if fix is not None:
         _check_fix(fix, given)
-    if triangles is not None and not set(names) <= set(garment_names()):
+    if triangles is not None and not all(name in garment_names() or _is_sewn(name) for name in names):
         warn(
-            "--triangles is for a built-in garment and is not used here; what a file holds is checked as it is, and "
+            "--triangles is for what is made here and is not used; the mesh that a file holds is checked as it is, and "
             "`pb4u simulate --triangles` remeshes it.",
         )
     with warnings.catch_warnings():
@@ -131,14 +131,17 @@ def _check_outfit(names: list[str], figure: Any, body: str, triangles: int | Non
 
 
 def _made(name: str, figure: Any, triangles: int | None) -> Any:
-    """A built-in garment, or one of a dictionary at the height of the body; None for a mesh file."""
+    """A built-in garment, a dressed pattern, or one of a dictionary at the body's height; None for a mesh file."""
     from pb4u.compat.garment_dictionary import read_dictionary_garment
     from pb4u.garment.dictionary_entry import DictionaryEntry
     from pb4u.garment.library import build_garment, garment_names
     from pb4u.garment.material import MATERIALS
+    from pb4u.pattern.files import load_worn
 
     if name in garment_names():
         return build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
+    if _is_sewn(name):
+        return load_worn(name, figure, MATERIALS["default"], triangles)
     entry = DictionaryEntry.parse(name)
     if entry is None:
         return None
@@ -148,13 +151,19 @@ def _made(name: str, figure: Any, triangles: int | None) -> Any:
     return replace(garment, vertices=raised)
 
 
+def _is_sewn(name: str) -> bool:
+    from pb4u.garment.library import SEWN
+
+    return Path(name).suffix.lower() in SEWN
+
+
 def _check_fix(fix: Path, given: str | None) -> None:
     from pb4u.garment.dictionary_entry import DictionaryEntry
     from pb4u.garment.library import garment_names
 
     if fix.suffix.lower() != ".obj":
         raise InputError(f"--fix writes an .obj; {fix} ends otherwise.")
-    if given is None or given in garment_names() or DictionaryEntry.parse(given):
+    if given is None or given in garment_names() or DictionaryEntry.parse(given) or _is_sewn(given):
         raise InputError("--fix mends a garment from a mesh file; give that file.")
     check_writable(fix, "--fix")
 

@@ -15,7 +15,7 @@ from pb4u.errors import InputError
 from pb4u.export.registry import is_same_file, would_overwrite, written_files
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.io.atomic_file import check_writable, json_text, replace_file
-from pb4u.run import with_companions
+from pb4u.io.companions import with_companions
 
 if TYPE_CHECKING:
     from pb4u.jobs.worker_pool import WorkerPool

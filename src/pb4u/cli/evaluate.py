@@ -12,7 +12,8 @@ import typer
 
 from pb4u.cli.console import RayFlag, WorkersFlag, check_json_target, keep_inputs, pool_of, say, tell, with_flags
 from pb4u.cli.record_flags import given_values, record_flags
-from pb4u.errors import Pb4uError
+from pb4u.errors import InputError, Pb4uError
+from pb4u.export.registry import is_same_file
 from pb4u.paper.evaluation_request import EvaluationRequest
 from pb4u.progress import announced
 
@@ -49,16 +50,18 @@ def evaluate(
     asked = EvaluationRequest(**given_values(EvaluationRequest, request))
     read = [name for names in (asked.models, asked.garments, asked.motions, asked.bodies) for name in names or ()]
     keep_inputs(read, [("--json", json)])
+    if plots is not None and plots.exists() and not plots.is_dir():
+        raise InputError(f"--plots writes a folder; {plots} is a file.")
     pool = pool_of(workers, ray)
 
     folder = out or Path(f"evaluate_{asked.protocol}")
     progress = partial(announced, part="rollout", say=say, alike=False)
     results = run(asked, folder, pool, retry, say=say, progress=progress)
-    if plots is not None:
+    tell(results, json, f"Report: {folder / PAGE}")
+    if plots is not None and not is_same_file(plots, folder / PLOTS):
         plots.mkdir(parents=True, exist_ok=True)
         for picture in (folder / PLOTS).iterdir():
             shutil.copy2(picture, plots / picture.name)
-    tell(results, json, f"Report: {folder / PAGE}")
     if failures := results["failures"]:
         raise Pb4uError(
             f"{len(failures)} of {len(failures) + _done(results)} rollouts failed; the first: {failures[0]['job']}: "

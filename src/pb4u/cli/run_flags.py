@@ -89,6 +89,7 @@ def released_entries(method: str) -> dict[str, Any]:
         "lead_in": 31,
         "first_frame": AS_RELEASED[method],
         "refine": 0,
+        "passes": 1,
         "contact": False,
         "self_contact": False,
         "precision": "float32",
@@ -116,7 +117,7 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
     if tuck:
         given["tucked"] = [True if name in tuck else None for name in worn]
     if tack:
-        given["tacks"] = [[each.value for each in tack if each.garment in (None, name)] for name in worn]
+        given["tacks"] = [[each.value for each in tack if each.garment in (None, name)] or None for name in worn]
         for each in tack:
             if each.garment not in worn and (each.garment is not None or len(worn) > 1):
                 raise unknown_name("garment in this scene", each.garment or "--tack without NAME=", worn)

@@ -44,7 +44,7 @@ def simulate(
         typer.Argument(
             metavar="SCENE.toml",
             help="Scene file to run, as --save-scene writes it. Flags win over it: --garment replaces all its garments "
-            "with their materials, pins and triangles, --body its shape too, --motion its crop too.",
+            "with their materials, pins and triangles, --body its shape and clip too, --motion crop and clip.",
             show_default=False,
         ),
     ] = None,
@@ -187,9 +187,10 @@ def _reference(path: Path | None, run: Run, simulator: Simulator, scene: Scene) 
         return None
     from pb4u.measures.excess import require_reference
     from pb4u.scene.trajectory import Trajectory
+    from pb4u.simulation.run_simulation import frame_count
 
     reference = Trajectory.open(path)
-    require_reference(reference, simulator.header(scene).faces, run.fps, run.written_frames)
+    require_reference(reference, simulator.header(scene).faces, run.fps, frame_count(run, scene))
     return reference
 
 
@@ -219,7 +220,7 @@ def _trajectory(
         expected = scene.total_frames, each * (slowness() if each * scene.total_frames > _WORTH_MEASURING else 1.0)
         told = opened.enter_context(announced(f"{count:,} triangles, {simulator.name}", "step", say, expected=expected))
         header = simulator.header(scene)
-        watched = _LimbWarnings(scene, header, simulator.name, run.contact)
+        watched = _LimbWarnings(scene, header, simulator.name, run)
         if live is None:
             return roll_out(run, simulator, scene, file, record, told, kept, watched), watched
         caches = opened.enter_context(LiveCaches(live, header, run.fps, run.written_frames))
@@ -238,10 +239,10 @@ def _trajectory(
 class _LimbWarnings:
     """Warns of each limb that comes through cloth in the frame in which it does."""
 
-    def __init__(self, scene: Scene, header: TrajectoryHeader, model: str, contact: bool) -> None:
+    def __init__(self, scene: Scene, header: TrajectoryHeader, model: str, run: Run) -> None:
         from pb4u.measures.limbs import Bones, LimbWatch
 
-        self.scene, self.model, self.contact = scene, model, contact
+        self.scene, self.model, self.run = scene, model, run
         self.watch = LimbWatch(Bones.of(scene, scene.frames, scene.fps), header)
         self.rows: list[np.ndarray] = []
 
@@ -250,7 +251,9 @@ class _LimbWarnings:
         self.rows.append(self.watch.through(number, frame.positions, frame.body_positions))
         for bone in self.watch.enough:
             if bone not in known:
-                warn(self.watch.sentence(bone, number, self.model, self.contact))
+                # Named as it will be written, at the rate that was asked for.
+                written = round(number * self.run.fps / self.scene.fps)
+                warn(self.watch.sentence(bone, written, self.model, self.run.contact))
 
     def over(self, trajectory: Trajectory) -> tuple[np.ndarray, LimbWatch]:
         """Which bones are through cloth in the frames of `trajectory`, as `watched` gives it."""

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from pb4u.errors import InputError, refuse_unknown
-from pb4u.run import ENTRIES, Run, read_tables
+from pb4u.io.toml_file import read_tables
+from pb4u.run import ENTRIES, Run
 
 MOST_CLIPS = 100_000
 """Clips of one jobs file unless more are allowed: ten times the usual dataset, and what a slip of the pen exceeds."""

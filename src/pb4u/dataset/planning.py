@@ -8,17 +8,20 @@ from functools import cache, lru_cache
 from pathlib import Path
 
 from pb4u.body.body_model import ShapedBody
+from pb4u.body.character import Character
 from pb4u.body.library import load_body
 from pb4u.compat.garment_dictionary import read_dictionary_garment
 from pb4u.errors import InputError
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.garment_file import read_source
-from pb4u.garment.library import LEVELS
+from pb4u.garment.library import LEVELS, SEWN
 from pb4u.garment.material import MATERIALS
 from pb4u.jobs.job import JobPack
 from pb4u.measures.job_planner import JobPlanner
 from pb4u.measures.run_job import MOST_TOGETHER, RunJob
 from pb4u.motion.library import load_motion, motion_names
+from pb4u.pattern.dressing import DEFAULT_TRIANGLES
+from pb4u.pattern.files import read_dressed
 from pb4u.run import Run, WornGarment
 from pb4u.scene.moving_body import DEFAULT_FRAMES
 from pb4u.simulation.models import simulator_of
@@ -94,7 +97,7 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
     sizes = []
     for job in jobs:
         scene = job.run
-        points, corners, own_frames = body(str(scene.body))
+        points, corners, own_frames = body(str(scene.body), scene.clip, scene.motion is None, scene.fps)
         frames = scene.frames
         if frames is None:
             moves = None if scene.motion is None else str(scene.motion)
@@ -110,11 +113,14 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
     return sizes
 
 
-def _body_counts(name: str) -> tuple[int, int, int | None]:
-    """Vertices and faces of a body, and its frames where it moves by itself."""
-    body = load_body(name)
-    moves = not isinstance(body, ShapedBody) and body.frame_count > 1
-    return len(body.contact), len(body.faces), body.frame_count if moves else None  # type: ignore[union-attr]
+def _body_counts(name: str, clip: str | None, alone: bool, fps: float) -> tuple[int, int, int | None]:
+    """Vertices and faces of a body, and its frames where it moves by itself: a character does without a motion."""
+    body, frames = load_body(name, clip=clip), None
+    if isinstance(body, Character):
+        frames = body.available_frames(fps) if alone and body.clip is not None else None
+    elif not isinstance(body, ShapedBody) and body.frame_count > 1:
+        frames = body.frame_count
+    return len(body.contact), len(body.faces), frames
 
 
 def _garment_triangles(garment: WornGarment) -> int:
@@ -123,9 +129,12 @@ def _garment_triangles(garment: WornGarment) -> int:
     entry = DictionaryEntry.parse(name)
     if entry is not None:
         return read_dictionary_garment(entry, MATERIALS["default"]).triangle_count
-    if not Path(name).suffix:
+    file = Path(name)
+    if not file.suffix:
         return LEVELS["base"]
-    return sum(len(polygon) - 2 for polygon in read_source(Path(name)).polygons)
+    if file.suffix.lower() in SEWN:
+        return len(read_dressed(file)[0].faces) if file.suffix.lower() == ".npz" else DEFAULT_TRIANGLES
+    return sum(len(polygon) - 2 for polygon in read_source(file).polygons)
 
 
 def _recorded_frames(motion: str | None, crop: tuple[int, int] | None, fps: float) -> int | None:

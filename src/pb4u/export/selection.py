@@ -149,6 +149,17 @@ def source_garments(header: TrajectoryHeader) -> np.ndarray:
     return owners
 
 
+def resampled_count(frames: int, fps: float, wanted: float) -> int:
+    """Number of frames of the same time at another rate.
+
+    Args:
+        frames: there are now.
+        fps: their rate [1/s].
+        wanted: the other rate [1/s].
+    """
+    return int((frames - 1) / fps * wanted + 1e-6) + 1
+
+
 def resampled(trajectory: Trajectory, fps: float, frames: int | None = None) -> Trajectory:
     """The same motion at another frame rate, interpolated in straight lines.
 
@@ -157,8 +168,7 @@ def resampled(trajectory: Trajectory, fps: float, frames: int | None = None) -> 
         fps: frames per second.
         frames: most frames to keep; all by default.
     """
-    seconds = (trajectory.frame_count - 1) / trajectory.fps
-    count = int(seconds * fps + 1e-6) + 1
+    count = resampled_count(trajectory.frame_count, trajectory.fps, fps)
     at = np.arange(min(count, frames or count)) * (trajectory.fps / fps)
     low = np.minimum(at.astype(int), trajectory.frame_count - 1)
     high = np.minimum(low + 1, trajectory.frame_count - 1)

@@ -130,6 +130,12 @@ def _from_indices(indices: np.ndarray, garment: Garment, where: str) -> np.ndarr
     listed[indices] = True
     if garment.source is None or not len(indices):
         return listed if garment.source is None else np.zeros(len(garment.vertices), dtype=bool)
+    corners = garment.source.barycentric.argmax(axis=1)
+    if np.isclose(garment.source.barycentric.max(axis=1), 1.0).all():
+        # Every vertex of the author's is one that is simulated, be it sewn to another, which moved it.
+        same = np.zeros(len(garment.vertices), dtype=bool)
+        same[garment.faces[garment.source.triangle, corners][indices]] = True
+        return same
     # A simulated vertex is pinned when the author's vertex nearest to it is; and every listed vertex pins at least the
     # simulated vertex nearest to it, however coarse the mesh.
     source = garment.source.source.vertices

@@ -7,15 +7,17 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from pb4u.body.body_model import ShapedBody
+from pb4u.body.character import Character
 from pb4u.body.library import load_body
 from pb4u.errors import InputError, unknown_name
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.library import garment_names
 from pb4u.garment.material import MATERIALS, load_material
+from pb4u.io.companions import with_companions
 from pb4u.jobs.job import digest
 from pb4u.measures.run_job import RunJob
 from pb4u.motion.library import motion_names, recording_file
-from pb4u.run import Run, with_companions
+from pb4u.run import Run
 from pb4u.scene.moving_body import DEFAULT_MOTION
 from pb4u.simulation.checkpoint import weights_file
 from pb4u.simulation.models import default_model, simulator_of
@@ -47,7 +49,7 @@ class JobPlanner:
         self._contents: dict[str, tuple[tuple[str, str, str], ...]] = {}
         self._checked: set[tuple[str, str]] = set()
         self._models: dict[Run, Model] = {}
-        self._has_bones = lru_cache(maxsize=None)(_has_bones)
+        self._needs_motion = lru_cache(maxsize=None)(_needs_motion)
 
     def job(
         self, run: Run, label: str = "", keep: Literal["full", "half", "stills"] = "full", excess: bool = False
@@ -66,7 +68,7 @@ class JobPlanner:
         self._require_names(run)
         model = self.model(run)
         given = {"model": model.name, "device": model.device}
-        if run.motion is None and self._has_bones(str(run.body)):
+        if run.motion is None and self._needs_motion(str(run.body)):
             # Named, so that its label says what the body performs.
             given["motion"] = DEFAULT_MOTION
         resolved = run.with_entries(given)
@@ -121,8 +123,12 @@ def _file(value: str) -> Path:
     return recording_file(value)[0] if entry is None else entry.path
 
 
-def _has_bones(body: str) -> bool:
-    return isinstance(load_body(body), ShapedBody)
+def _needs_motion(body: str) -> bool:
+    """Whether a body performs nothing by itself, as sequences and characters with a clip do."""
+    loaded = load_body(body)
+    if isinstance(loaded, Character):
+        return loaded.clip is None and loaded.is_human
+    return isinstance(loaded, ShapedBody)
 
 
 def _resolved(run: Run) -> Model:

@@ -101,7 +101,7 @@ class RunJob:
             "triangles_asked": [each.triangles for each in run.garments],
             "body": named(run.body),
             "body_shape": dict(run.body_shape),
-            "motion": named(run.motion) or "own",
+            "motion": named(run.motion) or run.clip or "own",
             "frames_asked": run.frames,
             "crop": None if run.crop is None else list(run.crop),
             "model": named(run.model),

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError, extra, on_disk, refuse_unknown
+from pb4u.io.toml_file import read_tables
 from pb4u.pattern.pattern import Curve, Panel, Pattern, Seam, signed_area
-from pb4u.run import read_tables
 
 _PIXEL = 0.0254 / 96.0
 """Length [m] of a user unit of an SVG that states no other."""

@@ -68,6 +68,8 @@ def _recording(run: Run) -> RecordingAsItIs:
     motion = run.motion
     if not isinstance(motion, str | Path) or not Path(motion).suffix:
         raise InputError("To play a recording as recorded, give its file as the motion: a .pkl or .npz of SMPL.")
+    if run.recorded_fps is not None:
+        raise InputError("A recording as recorded has the frame rate of its file; leave out --recorded-fps.")
     kind: type[RecordingAsItIs] = resolve_name("pb4u.compat.recording_as_released:RecordingAsItIs")
     return kind(Path(motion), run.crop, run.arms_away)
 
@@ -173,7 +175,7 @@ def _play(body: VertexSequence, run: Run) -> Performance:
 
 def _refuse_changes(run: Run, why: str, mend: str) -> None:
     """Refuse options that change a motion where none is loaded from a file."""
-    for option in ("crop", "arms_away"):
+    for option in ("crop", "arms_away", "recorded_fps"):
         if getattr(run, option) is not None:
             raise InputError(f"{why}, so --{option.replace('_', '-')} cannot be applied; {mend}.")
 

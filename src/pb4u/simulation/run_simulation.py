@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from pb4u.errors import Interrupted, warn
-from pb4u.export.selection import resampled
+from pb4u.export.selection import resampled, resampled_count
 from pb4u.progress import Progress, no_progress, progress_or_bar
 from pb4u.run import Run
 from pb4u.scene.assembly import build_scene
@@ -70,6 +70,19 @@ def simulated_fps(run: Run, simulator: Simulator) -> float:
     return simulated
 
 
+def frame_count(run: Run, scene: Scene) -> int:
+    """Number of frames that a run writes where it is not lost: those of its scene, at the run's own rate.
+
+    Args:
+        run: what is simulated.
+        scene: what `scene_for` gives for it.
+    """
+    if math.isclose(scene.fps, run.fps):
+        return scene.frames
+    count = resampled_count(scene.frames, scene.fps, run.fps)
+    return count if run.written_frames is None else min(count, run.written_frames)
+
+
 def roll_out(
     run: Run,
     simulator: Simulator,
@@ -95,8 +108,10 @@ def roll_out(
         simulated: states of the scene, where they are there already; without a `path`.
 
     Raises:
+        Pb4uError: the state stopped being finite before the first frame to write.
         Interrupted: the frames until an interrupt are in a file, which it names.
     """
+    record = record or RunRecord()
     is_resampled = not math.isclose(scene.fps, run.fps)
     if path is not None and not is_resampled:
         return simulator.simulate_to(scene, path, record, progress, seen)
@@ -111,10 +126,12 @@ def roll_out(
             kept = Trajectory.collect(header, rows).save(interrupted)
             raise Interrupted(kept_sentence(len(rows), kept), getattr(error, "signal", 2)) from error
         raise
+    if not rows:
+        raise record.lost_early()
     trajectory = Trajectory.collect(header, rows)
     if is_resampled:
         trajectory = resampled(trajectory, run.fps, run.written_frames)
-        if record is not None and record.failed_at is not None:
+        if record.failed_at is not None:
             record.failed_at = trajectory.frame_count
     if path is not None:
         trajectory.save(path)

@@ -48,6 +48,12 @@ class RunRecord:
     def count_retried(self) -> None:
         self.retried += 1
 
+    def lost_early(self) -> Pb4uError:
+        """What to raise where there is no frame to write."""
+        early = -(self.failed_at or 0)
+        when = f"{early} frames before the first one to write" if early else "in the very first frame"
+        return Pb4uError(f"The state stopped being finite {when}; nothing was written. Try --model solver.")
+
     @property
     def ms_per_step(self) -> float:
         """Median wall time of a step [ms]."""
@@ -132,10 +138,14 @@ class Simulator(ABC):
                 where that is a terminal. `pb4u.progress.no_progress` is quiet.
 
         Raises:
-            InputError: the state stopped being finite before the first frame to write.
+            Pb4uError: the state stopped being finite before the first frame to write.
         """
+        record = RunRecord()
         with progress_or_bar(progress, self.name) as heard:
-            return Trajectory.collect(self.header(scene), self.written_frames(scene, progress=heard))
+            rows = list(self.written_frames(scene, record, heard))
+        if not rows:
+            raise record.lost_early()
+        return Trajectory.collect(self.header(scene), rows)
 
     def simulate_to(
         self,
@@ -164,9 +174,7 @@ class Simulator(ABC):
                 if seen is not None:
                     seen(frame)
         if not writer.frame_count:
-            early = -(record.failed_at or 0)
-            when = f"{early} frames before the first one to write" if early else "in the very first frame"
-            raise Pb4uError(f"The state stopped being finite {when}; nothing was written. Try --model solver.")
+            raise record.lost_early()
         return Trajectory.open(path)
 
     def header(self, scene: Scene) -> TrajectoryHeader:
