@@ -22,8 +22,9 @@ from pb4u.cli.application import app
 from pb4u.cli.main import main
 from pb4u.dataset.jobs_file import read_jobs
 from pb4u.garment.library import garment_names
+from pb4u.io.toml_file import tomllib
 from pb4u.pattern.files import read_pattern
-from pb4u.run import ENTRIES, Run, tomllib
+from pb4u.run import ENTRIES, Run
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md")))

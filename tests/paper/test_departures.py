@@ -14,8 +14,9 @@ from pb4u.paper.departures import departures, description
 from pb4u.paper.network_presets import network_preset
 from pb4u.simulation.checkpoint import Checkpoint, TrainingRecord, from_pretrained
 
-SMALL = network_preset("literal_small")
+SMALL, WHOLE = network_preset("literal_small"), network_preset("literal")
 assert isinstance(SMALL, Pb4uConfiguration)
+assert isinstance(WHOLE, Pb4uConfiguration)
 
 
 def checkpoint(configuration: NetworkConfiguration, steps: tuple[int, int] = (5, 8)) -> Checkpoint:
@@ -24,7 +25,8 @@ def checkpoint(configuration: NetworkConfiguration, steps: tuple[int, int] = (5,
 
 
 def test_the_literal_network_departs_in_nothing() -> None:
-    assert departures(checkpoint(SMALL)) == []
+    assert departures(checkpoint(WHOLE)) == []
+    assert departures(checkpoint(SMALL)) == ["It is 64 wide with 4 blocks; the paper's has 128 and 15."]
     assert description(checkpoint(SMALL))["start"] == "free flight"
 
 
@@ -45,7 +47,7 @@ def test_each_change_is_a_sentence(change: dict, says: str) -> None:
 
 
 def test_random_steps_in_training_are_a_departure() -> None:
-    assert "drawn from 1 to 16" in departures(checkpoint(SMALL, (1, 16)))[0]
+    assert "drawn from 1 to 16" in departures(checkpoint(WHOLE, (1, 16)))[0]
 
 
 def test_the_shipped_network_says_what_it_adds() -> None:

@@ -16,6 +16,8 @@ NODE = {"velocity", "vertex_mass", "mass", "normal", "material"}
 MESH_EDGE = {"direction", "rest_direction", "length_ratio"}
 WORLD_EDGE = {"direction", "relative_distance"}
 """Features that the paper names; type of node is embedded by every network. The mass is log vertex mass."""
+SIZE = (128, 15)
+"""Width and number of blocks of the paper's network."""
 MOST_NEIGHBOURS = 64
 """So many body vertices a garment vertex count as all within the threshold."""
 
@@ -56,7 +58,7 @@ def description(checkpoint: Checkpoint) -> dict[str, Any]:
 
 
 def departures(checkpoint: Checkpoint) -> list[str]:
-    """Sentences on everything in which a network is not the paper's; its width and number of blocks apart.
+    """Sentences on everything in which a network and its training are not the paper's; its energies apart.
 
     Args:
         checkpoint: the network and its record.
@@ -66,6 +68,7 @@ def departures(checkpoint: Checkpoint) -> list[str]:
         method = type(configuration).__name__.removesuffix("Configuration")
         return [f"It is {method}, a method that the paper compares with.", *_additions(configuration)]
     found = [
+        *_size(configuration),
         *_additions(configuration),
         *_other("node", set(configuration.layout.node), NODE),
         *_other("mesh edge", set(configuration.layout.mesh_edge), MESH_EDGE),
@@ -81,6 +84,14 @@ def departures(checkpoint: Checkpoint) -> list[str]:
     if not isinstance(configuration.scaling, PerVertexScaling):
         found.append("Updates are not scaled by the edge length at each vertex.")
     return found + _training(configuration, checkpoint)
+
+
+def _size(configuration: Pb4uConfiguration) -> list[str]:
+    if (configuration.width, configuration.blocks) == SIZE:
+        return []
+    return [
+        f"It is {configuration.width} wide with {configuration.blocks} blocks; the paper's has {SIZE[0]} and {SIZE[1]}."
+    ]
 
 
 def _additions(configuration: NetworkConfiguration) -> list[str]:
@@ -115,7 +126,8 @@ def _training(configuration: Pb4uConfiguration, checkpoint: Checkpoint) -> list[
     least, most = record.propagation_steps
     if [least, most] == by_rule:
         return []
+    earlier = " or one before it" if record.details.get("before") else ""
     return [
-        f"In training the number of propagation steps was drawn from {least} to {most}, as in the release; the paper "
-        "names the rule alone."
+        f"In this training{earlier} the number of propagation steps was drawn from {least} to {most}, as in the "
+        "release; the paper names the rule alone."
     ]

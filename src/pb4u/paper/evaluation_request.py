@@ -22,7 +22,7 @@ class EvaluationRequest:
         bodies: Bodies, by name or file. Default: woman.
         levels: Resolutions: base, 11K, .. 38K, or numbers of triangles. Default: the protocol's.
         propagation_steps: Numbers of propagation steps to set. Default: the protocol's.
-        frames: Frames of each rollout, at 30 a second. Default: 30.
+        frames: Frames of each rollout, at 30 a second. Default: 30, of controls and robustness 60.
         lead_in: Frames from the rest pose into the motion, simulated but not measured.
         recordings: Folder of CMU recordings, SUBJECT/TRIAL.amc beside SUBJECT/SUBJECT.asf; they replace built-in
             motions.

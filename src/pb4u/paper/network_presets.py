@@ -53,7 +53,7 @@ _small_without_gradient = replace(
     pb4u_small_conjugate, layout=replace(pb4u_small_carried.layout, extra=(ADVANCE,)), descent_size=0.0
 )
 
-# What the paper names and nothing else; docs/network.md says where its release differs. On a training level of 1,200
+# What the paper names and nothing else; decision 48 says where its release differs. On a training level of 1,200
 # triangles edges are 45 mm in the mean, and D = 0.225 m gives 5 steps there.
 literal = replace(
     pb4u_paper,
