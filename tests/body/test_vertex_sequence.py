@@ -66,6 +66,27 @@ def test_the_body_of_a_trajectory_is_a_vertex_sequence(tmp_path: Path, box: tupl
     np.testing.assert_array_equal(body.contact, contact)
 
 
+def test_the_body_of_a_trajectory_in_half_precision_is_where_it_was(
+    tmp_path: Path, box: tuple[np.ndarray, np.ndarray]
+) -> None:
+    origins = np.outer(np.arange(4), [0.0, 0.5, 1.0]).astype(np.float32)
+    np.savez(
+        tmp_path / "half.npz", body_positions=(box[0] - origins[:, None]).astype(np.float16),
+        body_position_origins=origins, body_faces=box[1], fps=30.0,
+    )  # fmt: skip
+    np.testing.assert_allclose(load_vertex_sequence(tmp_path / "half.npz").positions(0, 4), box[0], atol=2e-3)
+
+
+def test_a_point_cache_at_a_common_rate_has_all_of_its_frames(
+    tmp_path: Path, box: tuple[np.ndarray, np.ndarray]
+) -> None:
+    write_obj(tmp_path / "box.obj", box[0][0], box[1].tolist())
+    for count in (36, 148):
+        write_mdd(tmp_path / "box.mdd", np.repeat(box[0][:1], count, axis=0), 30.0)
+        body = load_vertex_sequence(tmp_path / "box.mdd")
+        assert (body.fps, body.resampled(60.0).frame_count) == (30.0, 2 * count - 1)
+
+
 @pytest.mark.parametrize("suffix", ["obj", "ply"])
 def test_folder_is_read_in_natural_order(suffix: str, tmp_path: Path, box: tuple[np.ndarray, np.ndarray]) -> None:
     # Ten would come before two in the order of text.

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pb4u.errors import InputError, Pb4uError
-from pb4u.export.picture import write_mp4
-from pb4u.export.registry import export
+from pb4u.errors import InputError, MissingExtraError, Pb4uError
+from pb4u.export.picture import save_gif, write_mp4
+from pb4u.export.registry import check_target, export
 from pb4u.export.still_renderer import render
 from pb4u.export.video_writer import open_video
 from pb4u.export.view import SIDES, View
@@ -213,3 +213,22 @@ def test_the_ffmpeg_extra_writes_h264(tmp_path: Path, monkeypatch: pytest.Monkey
         video.write(np.zeros((64, 64, 3), dtype=np.uint8))
     assert video.codec.startswith("H.264")
     assert b"avc1" in (tmp_path / "a.mp4").read_bytes()
+
+
+@pytest.mark.parametrize("fps", [12.0, 24.0, 30.0, 60.0, 120.0])
+def test_a_gif_lasts_as_long_as_what_it_shows(tmp_path: Path, fps: float) -> None:
+    pictures = [np.full((4, 4, 3), 8 * k % 256, dtype=np.uint8) for k in range(int(fps))]
+    save_gif(pictures, tmp_path / "a.gif", fps)
+    with Image.open(tmp_path / "a.gif") as film:
+        shown = [film.seek(k) or film.info["duration"] for k in range(film.n_frames)]
+    assert sum(shown) == pytest.approx(1000, abs=70)
+    assert max(shown) - min(shown) <= 10
+
+
+def test_an_mp4_needs_an_encoder_of_either_kind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pb4u.export.video_writer.find_spec", lambda name: None)
+    monkeypatch.setattr("pb4u.export.video_writer._ffmpeg", lambda: "ffmpeg")
+    check_target(tmp_path / "a.mp4")
+    monkeypatch.setattr("pb4u.export.video_writer._ffmpeg", lambda: None)
+    with pytest.raises(MissingExtraError, match="render"):
+        check_target(tmp_path / "a.mp4")

@@ -62,8 +62,28 @@ def test_motion_is_carried_to_the_source_in_its_own_order_with_its_uvs(trajector
     np.testing.assert_allclose(carried.positions[4], expected + 4, atol=1e-6)
     np.testing.assert_array_equal(carried.faces, track.faces)
     np.testing.assert_array_equal(carried.header.uvs, uvs)
+    (whole,) = carried.header.garments
+    assert (whole["vertices"], whole["triangles"]) == ([0, 3], [0, 1])
     assert on_source(trajectory) is trajectory
 
 
 def _arrays(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return trajectory.positions, trajectory.velocities, trajectory.body_positions
+
+
+def test_the_rows_of_each_garment_are_those_on_the_source(trajectory: Trajectory) -> None:
+    worn = [
+        {"name": "a", "vertices": [0, 2], "triangles": [0, 1]},
+        {"name": "b", "vertices": [2, 4], "triangles": [1, 2]},
+    ]
+    track = SourceTrack(
+        faces=np.array([[0, 1, 2], [3, 4, 5], [3, 5, 6]]),
+        triangle=np.array([0, 0, 0, 1, 1, 1, 1]),
+        barycentric=np.eye(3)[[0, 1, 0, 1, 1, 2, 2]],
+    )
+    header = replace(
+        trajectory.header, faces=np.array([[0, 1, 1], [2, 3, 3]]), vertex_garment=np.array([0, 0, 1, 1], np.int32),
+        source=track, metadata={"garments": worn},
+    )  # fmt: skip
+    found = on_source(Trajectory(header, *_arrays(trajectory))).header.garments
+    assert [(each["vertices"], each["triangles"]) for each in found] == [([0, 3], [0, 1]), ([3, 7], [1, 3])]

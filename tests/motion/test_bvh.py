@@ -152,3 +152,14 @@ def test_an_offset_may_follow_the_channels(bvh):
     turned = read_bvh(path)
     np.testing.assert_array_equal(turned.poses.rotations, whole.poses.rotations)
     np.testing.assert_array_equal(turned.skeleton.joints, whole.skeleton.joints)
+
+
+@pytest.mark.parametrize(
+    ("frame_time", "fps"), [("0.0333333", 30.0), ("0.033333", 30.0), ("0.041667", 24.0), ("0.0083333", 120.0)]
+)
+def test_a_rounded_frame_time_loses_no_frame(bvh, frame_time, fps):
+    assert load_motion(bvh(frames=300, frame_time=frame_time)).available_frames(fps) == 300
+
+
+def test_a_rate_of_television_stays(bvh):
+    assert load_motion(bvh(frames=4, frame_time="0.0333667")).duration == pytest.approx(3 / 29.97, rel=1e-5)

@@ -19,7 +19,7 @@ from pb4u.measures.metrics import Ruler, measure
 from pb4u.scene.trajectory import Trajectory
 from pb4u.viewer.clip import GrowingClip, RecordedClip
 from pb4u.viewer.export_panel import deliver
-from pb4u.viewer.plot_panel import Measurement, chart_data
+from pb4u.viewer.plot_panel import Measurement, chart_data, on_timeline
 
 
 def test_measurements_are_those_of_the_command_line() -> None:
@@ -128,3 +128,10 @@ def test_exports_are_refused_in_a_sentence(suffix: str, frames: int, says: str) 
     clip = RecordedClip(trajectory(1), "a") if frames else GrowingClip(header(), 1, "a")
     with pytest.raises(InputError, match=says):
         deliver(clip, suffix)
+
+
+def test_curves_of_other_frame_rates_are_read_at_the_moments_that_are_shown() -> None:
+    sixty, fifteen = np.arange(9.0), np.arange(3.0)
+    np.testing.assert_array_equal(on_timeline(sixty, 2.0), [0, 2, 4, 6, 8])
+    np.testing.assert_array_equal(on_timeline(fifteen, 0.5), [0, 0, 1, 2, 2])
+    assert len(on_timeline(sixty[:0], 2.0)) == 0

@@ -101,14 +101,14 @@ def test_a_page_may_name_the_files_it_handed_over_and_no_others(tmp_path: Path) 
 def test_a_scene_is_packed_with_its_files_and_opens_elsewhere(tmp_path: Path) -> None:
     files = Uploads()
     files.keep("garment", "tube.obj", b"v 0 0 0")
-    files.keep("motion", "07.asf", b"a")
-    files.keep("motion", "07_02.amc", b"b")
+    files.keep("motion", "07.ASF", b"a")
+    files.keep("motion", "07_02.AMC", b"b")
     files.keep("motion", "other.bvh", b"c")
     worn = (
         WornGarment(files.find("garment", "tube.obj"), "silk"),
         WornGarment("skirt", triangles=900),
     )
-    run = Run(worn, motion=files.find("motion", "07_02.amc"), frames=7, model="solver")
+    run = Run(worn, motion=files.find("motion", "07_02.AMC"), frames=7, model="solver")
     name, content = pack_scene(run, files.folder)
     files.close()
     assert name == "scene.zip"
@@ -116,12 +116,12 @@ def test_a_scene_is_packed_with_its_files_and_opens_elsewhere(tmp_path: Path) ->
         archive.extractall(tmp_path)
     assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.*")) == [
         "garment/tube.obj",
-        "motion/07.asf",
-        "motion/07_02.amc",
+        "motion/07.ASF",
+        "motion/07_02.AMC",
         "scene.toml",
     ]
     opened = Run.open(tmp_path / "scene.toml")
-    assert opened.motion == tmp_path / "motion" / "07_02.amc"
+    assert opened.motion == tmp_path / "motion" / "07_02.AMC"
     assert [each.garment for each in opened.garments] == [tmp_path / "garment" / "tube.obj", "skirt"]
     assert (opened.model, opened.frames) == ("solver", 7)
     assert pack_scene(Run(), tmp_path)[0] == "scene.toml"

@@ -18,7 +18,7 @@ from pb4u.geometry.triangulation import triangulate
 from pb4u.io.array_archive import member_names, read_arrays
 from pb4u.io.atomic_file import replace_file
 from pb4u.io.restricted_pickle import load_pickle
-from pb4u.io.stored_numbers import Layout, read_members
+from pb4u.io.stored_numbers import Layout, read_members, unrounded_rate
 
 _MESH_SUFFIXES = (".obj", ".ply")
 _PC2_MAGIC = b"POINTCACHE2\0"
@@ -156,7 +156,7 @@ def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray, float | None, np.ndar
     keys = set(member_names(path))
     prefix = "body_" if {"body_positions", "body_faces"} <= keys else ""
     positions = next((key for key in (f"{prefix}positions", "vertices") if key in keys), "vertices")
-    faces, contact = f"{prefix}faces", f"{prefix}contact"
+    faces, contact, origins = f"{prefix}faces", f"{prefix}contact", "body_position_origins"
 
     def refuse(what: str) -> InputError:
         return InputError(f'{path} is no moving body: {what}; it needs "vertices" (frames, vertices, 3) and "faces".')
@@ -166,9 +166,13 @@ def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray, float | None, np.ndar
         faces: ("iu", ("faces", 3)),
         "fps": ("fiu", ()),
         contact: ("fiub", ("vertices",)),
+        origins: ("f", ("frames", 3)),
     }
-    members, _ = read_members(read_arrays(path, layout), layout, refuse, ("fps", contact))
-    surface = members[positions].astype(np.float32, copy=False), members[faces].astype(np.int64, copy=False)
+    members, _ = read_members(read_arrays(path, layout), layout, refuse, ("fps", contact, origins))
+    moved = members[positions].astype(np.float32, copy=False)
+    if origins in members:  # a trajectory in half precision
+        moved = moved + members[origins].astype(np.float32)[:, None]
+    surface = moved, members[faces].astype(np.int64, copy=False)
     fps = float(members["fps"]) if "fps" in members else None
     return *surface, fps, members[contact].astype(bool) if contact in members else None
 
@@ -213,7 +217,7 @@ def _read_mdd(path: Path) -> tuple[np.ndarray, float | None]:
     positions = _map_points(path, _MDD_HEADER.size + 4 * max(frames, 0), frames, points, ">f4")
     times = np.memmap(path, dtype=">f4", mode="r", offset=_MDD_HEADER.size, shape=(frames,))
     duration = float(times[-1] - times[0])
-    return positions, (frames - 1) / duration if duration > 0 else None
+    return positions, unrounded_rate((frames - 1) / duration) if duration > 0 else None
 
 
 def _map_points(path: Path, offset: int, frames: int, points: int, dtype: str) -> np.ndarray:

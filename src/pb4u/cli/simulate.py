@@ -101,12 +101,12 @@ def _refuse_useless(model: str, flags: Mapping[str, Any]) -> None:
 
 
 def _default_targets(run: Run) -> list[Path]:
-    from importlib.util import find_spec
+    from pb4u.export.video_writer import writes_mp4
 
     # A body of the user's own may be a sequence, which moves by itself.
     moves = run.motion or (run.body if Path(str(run.body)).exists() else "walk")
     stem = f"{'+'.join(garment.name for garment in run.garments)}_{Path(str(moves)).stem}"
-    suffixes = [".npz", ".glb", ".png", ".mp4" if find_spec("cv2") else ".gif"]
+    suffixes = [".npz", ".glb", ".png", ".mp4" if writes_mp4() else ".gif"]
     return [Path(stem + suffix) for suffix in suffixes]
 
 

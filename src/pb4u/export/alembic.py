@@ -64,6 +64,10 @@ def write_alembic(trajectory: Trajectory, path: Path, progress: Progress = no_pr
 
 def _write_quietly(trajectory: Trajectory, path: Path) -> None:
     """Write without what the library says on standard error when it ends its process."""
+    import torch
+
+    # Threads of the process that this one was forked from are not here, and would be waited for.
+    torch.set_num_threads(1)
     faulthandler.disable()
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     _write(trajectory, path)

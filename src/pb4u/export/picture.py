@@ -84,8 +84,10 @@ def save_gif(pictures: Iterable[np.ndarray], path: Path, fps: float) -> None:
         Image.fromarray(picture).quantize(128, dither=Image.Dither.NONE)
         for picture in islice(pictures, 0, None, stride)
     ]
-    duration = round(1000 * stride / fps)
-    kept[0].save(path, save_all=True, append_images=kept[1:], duration=duration, loop=0)
+    # It counts in hundredths of a second: rounded one by one, they would add up to another length.
+    ends = np.rint(100.0 * stride / fps * np.arange(len(kept) + 1)).astype(int)
+    shown = (10 * np.diff(ends)).tolist()
+    kept[0].save(path, save_all=True, append_images=kept[1:], duration=shown, loop=0)
 
 
 def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = no_progress, view: View | None = None) -> str:

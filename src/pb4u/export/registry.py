@@ -111,6 +111,7 @@ FORMATS = (
         (".mp4",),
         "MP4 shows every frame, in H.264 where an encoder for it works here (such as an ffmpeg's), else in VP9",
         "pb4u.export.picture:write_mp4",
+        "pb4u.export.video_writer:check_mp4",
         coloured=True,
         drawn=True,
         side_multiple=2,  # colours are stored at half the resolution

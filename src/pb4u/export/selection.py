@@ -98,13 +98,14 @@ def on_source(trajectory: Trajectory) -> Trajectory:
     track = trajectory.header.source
     if track is None:
         return trajectory
-    on_mesh = source_motion(trajectory.header)
+    on_mesh, owners = source_motion(trajectory.header), source_garments(trajectory.header)
     header = replace(
         trajectory.header,
+        metadata=_counted_anew(trajectory.header, owners, owners[track.faces[:, 0]]),
         faces=track.faces,
         rest_positions=on_mesh(trajectory.header.rest_positions[None])[0],
         pinned=trajectory.header.pinned[trajectory.faces[track.triangle]].all(axis=1),
-        vertex_garment=source_garments(trajectory.header),
+        vertex_garment=owners,
         uvs=track.uvs,
         uv_faces=track.uv_faces,
         source=None,
@@ -113,6 +114,19 @@ def on_source(trajectory: Trajectory) -> Trajectory:
         rest_uv=None,
     )
     return Trajectory(header, on_mesh(trajectory.positions), on_mesh(trajectory.velocities), trajectory.body_positions)
+
+
+def _counted_anew(header: TrajectoryHeader, vertices: np.ndarray, faces: np.ndarray) -> dict[str, Any]:
+    """Metadata with the rows of each garment on another mesh, of which every vertex and face names its garment."""
+
+    def rows(owners: np.ndarray, number: int) -> list[int]:
+        return np.searchsorted(owners, [number, number + 1]).tolist()
+
+    garments = [
+        {**each, "vertices": rows(vertices, number), "triangles": rows(faces, number)}
+        for number, each in enumerate(header.garments)
+    ]
+    return {**header.metadata, "triangles": len(faces), "garments": garments}
 
 
 def source_motion(header: TrajectoryHeader) -> Callable[[np.ndarray], np.ndarray]:

@@ -9,6 +9,7 @@ import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
@@ -47,6 +48,24 @@ class VideoWriter(ABC):
     @abstractmethod
     def __exit__(self, *error: object) -> None:
         """End the video."""
+
+
+def writes_mp4() -> bool:
+    """Whether an encoder is here that MP4 may be written with."""
+    return find_spec("cv2") is not None or _ffmpeg() is not None
+
+
+def check_mp4(path: Path) -> None:
+    """Refuse a video where there is nothing to write it with.
+
+    Args:
+        path: file to write, for the message.
+
+    Raises:
+        MissingExtraError: neither an ffmpeg nor the "render" extra is there.
+    """
+    if not writes_mp4():
+        raise MissingExtraError("render", f"Writing {path.suffix}")
 
 
 def open_video(path: Path, fps: float, size: tuple[int, int]) -> VideoWriter:

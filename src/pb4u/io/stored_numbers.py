@@ -26,6 +26,19 @@ _KINDS = {
 }
 
 
+_RATE_ROUNDING = 2e-4
+"""Share by which files round a frame rate: 0.033333 s a frame are 30.0003 a second. 29.97 is another rate than 30."""
+
+
+def unrounded_rate(fps: float) -> float:
+    """The whole number of frames per second that a stored rate, or time of a frame, was rounded from; else itself.
+
+    Args:
+        fps: as stored [1/s].
+    """
+    return float(round(fps)) if abs(fps - round(fps)) <= _RATE_ROUNDING * fps else fps
+
+
 def stored_numbers(value: object, where: str | Path, name: str) -> np.ndarray:
     """The real numbers (...) in a value that a file holds: an array, or lists of numbers.
 

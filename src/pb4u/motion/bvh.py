@@ -11,6 +11,7 @@ from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_euler
 from pb4u.io.reading_limits import refusing
+from pb4u.io.stored_numbers import unrounded_rate
 from pb4u.motion.correspondences import BVH_SOURCES, SkeletonRoles
 from pb4u.motion.recording import Recording, finite_frames, require_rate
 
@@ -147,4 +148,4 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
     if count > frames * channels:
         raise InputError(f"{path} has {count} numbers, not the {frames} frames of {channels} that its header tells.")
     require_rate(1.0 / frame_time, path)
-    return finite_frames(values.reshape(frames, channels), path), 1.0 / frame_time
+    return finite_frames(values.reshape(frames, channels), path), unrounded_rate(1.0 / frame_time)

@@ -8,12 +8,12 @@ import tempfile
 import threading
 import zipfile
 from collections.abc import Callable
-from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
 
 from pb4u.errors import InputError, refuse_unknown
 from pb4u.export.registry import WRITERS, export
+from pb4u.export.video_writer import writes_mp4
 from pb4u.io.atomic_file import replace_file
 from pb4u.run import Run
 from pb4u.viewer.clip import Clip
@@ -85,7 +85,7 @@ class ExportPanel(Panel):
 
 def usual_video() -> str:
     """The video format that is offered first: MP4 where it can be written."""
-    return ".mp4" if find_spec("cv2") else ".gif"
+    return ".mp4" if writes_mp4() else ".gif"
 
 
 def pack_scene(run: Run, folder: Path) -> tuple[str, bytes]:
@@ -108,7 +108,7 @@ def pack_scene(run: Run, folder: Path) -> tuple[str, bytes]:
         other
         for path in named
         for other in path.parent.iterdir()
-        if other.stem == path.stem or (path.suffix == ".amc" and other.suffix == ".asf")
+        if other.stem == path.stem or (path.suffix.lower() == ".amc" and other.suffix.lower() == ".asf")
     }
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import io
 import re
 import tempfile
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pb4u.errors import InputError, MissingExtraError, Pb4uError, refuse_unknown
+from pb4u.errors import InputError, Pb4uError, refuse_unknown
 from pb4u.export.picture import save_gif, save_mp4
+from pb4u.export.video_writer import check_mp4
 from pb4u.viewer.clip import Clip
 
 if TYPE_CHECKING:
@@ -49,8 +49,8 @@ class Film:
 
     def __init__(self, suffix: str, frames: list[int], clip: Clip) -> None:
         refuse_unknown("format", [suffix], SUFFIXES)
-        if suffix == ".mp4" and find_spec("cv2") is None:
-            raise MissingExtraError("render", "Writing MP4")
+        if suffix == ".mp4":
+            check_mp4(Path(suffix))
         if len(frames) > _MOST_FRAMES:
             raise InputError(f"A video of the view has at most {_MOST_FRAMES:,} frames, and here are {len(frames):,}.")
         self.suffix, self.frames, self.clip = suffix, frames, clip

@@ -97,7 +97,8 @@ class PlotPanel(Panel):
         if not measurements or now - self._last < self._EVERY or wanted == self._drawn:
             return
         self._last, self._drawn = now, wanted
-        curves = [measurement.series(self._names.get(title, "stretch")) for measurement in measurements]
+        name, fps = self._names.get(title, "stretch"), measurements[0].clip.header.fps
+        curves = [on_timeline(each.series(name), each.clip.header.fps / fps) for each in measurements]
         length = max(len(curve) for curve in curves)
         curves = [np.pad(curve, (0, length - len(curve)), constant_values=np.nan) for curve in curves]
         self._draw(title, tuple(measurement.clip.label for measurement in measurements), curves, float(frame))
@@ -128,6 +129,19 @@ class PlotPanel(Panel):
             self._plot.remove()
         with self._place:
             self._plot = self._gui.add_uplot(data, tuple(series), title=title, **options)  # type: ignore[arg-type]
+
+
+def on_timeline(curve: np.ndarray, rate: float) -> np.ndarray:
+    """Values at the frames of another clip, each of the moment that is shown beside it.
+
+    Args:
+        curve: (frames,) values at the frames of a clip.
+        rate: frames of that clip for each of the other's.
+    """
+    if rate == 1.0 or not len(curve):
+        return curve
+    last = len(curve) - 1
+    return curve[np.minimum(np.rint(np.arange(int(last / rate + 1e-6) + 1) * rate).astype(int), last)]
 
 
 def chart_data(curves: list[np.ndarray], frame: float) -> tuple[np.ndarray, ...]:
