@@ -135,6 +135,8 @@ def test_a_character_plays_its_own_clip_unless_it_is_given_a_motion(tmp_path: Pa
     alone, chosen = JobPlanner().job(run), JobPlanner().job(replace(run, clip="slide"))
     assert (alone.run.motion, alone.labels["motion"]) == (None, "own")
     assert (chosen.run.motion, chosen.labels["motion"]) == (None, "slide")
+    parts = [JobPlanner().job(replace(run, body_parts=name)).run.body_parts for name in ("Skin", "Body0")]
+    assert parts == ["Skin", "Body0"]
     assert JobPlanner().job(replace(run, motion="dance")).labels["motion"] == "dance"
     of_clip, of_walk = footprints(
         [replace(alone, run=replace(alone.run, frames=None)), replace(alone, run=replace(alone.run, frames=60))]

@@ -50,6 +50,15 @@ def test_random_steps_in_training_are_a_departure() -> None:
     assert "drawn from 1 to 16" in departures(checkpoint(WHOLE, (1, 16)))[0]
 
 
+def test_of_released_weights_nothing_is_said_that_their_files_do_not_tell() -> None:
+    released = checkpoint(network_preset("release_pb4u"), (0, 10_000))
+    unknown = replace(released, record=replace(released.record, details={"resolutions": "unknown"}))
+    found = " ".join(departures(unknown))
+    assert "drawn" not in found
+    assert "does not follow" not in found
+    assert description(unknown)["trained"]["propagation_steps"] == []
+
+
 def test_the_shipped_network_says_what_it_adds() -> None:
     told = description(from_pretrained("pb4u-light"))
     # Trained in two stages, one on from the other.

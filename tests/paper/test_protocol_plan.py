@@ -155,6 +155,8 @@ def test_recordings_take_the_place_of_built_in_motions(test_data: Path) -> None:
         ({"levels": ()}, "--levels names nothing"),
         ({"recordings": Path("absent")}, "no folder of recordings absent"),
         ({"device": "tpu"}, "no device 'tpu'"),
+        ({"seed": 7}, "--seed draws the scenes of robustness"),
+        ({"protocol": "controls", "motions": None, "recordings": Path(".")}, "has no recordings of its own"),
     ],
 )
 def test_what_cannot_be_used_is_refused(change: dict, says: str) -> None:

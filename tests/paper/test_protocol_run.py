@@ -23,9 +23,10 @@ from pb4u.measures.run_job import RunJob, attempt
 from pb4u.paper import report
 from pb4u.paper.evaluation import evaluate
 from pb4u.paper.evaluation_request import EvaluationRequest
+from pb4u.paper.protocol_plan import plan
 from pb4u.paper.protocols import PROTOCOLS
 from pb4u.paper.report import merge_similar
-from pb4u.paper.summary import share_text
+from pb4u.paper.summary import Row, share_text
 from pb4u.paper.tables import terms_tables
 from pb4u.run import Run
 from pb4u.scene.scene import Scene
@@ -245,3 +246,21 @@ def test_notes_that_differ_in_numbers_alone_are_told_once() -> None:
     first, second = merge_similar(notes)
     assert first == "dress: edges of 18.5 mm (2 more with other numbers, in results.json.)"
     assert second == "tshirt: edges of 13.1 mm"
+
+
+def test_networks_at_given_steps_have_columns_of_their_own(tmp_path: Path) -> None:
+    file = weights(tmp_path / "net.safetensors")
+    request = replace(REQUEST, models=(str(file), "skinning"), propagation_steps=(1, 3), motions=("walk",))
+    run(request, tmp_path / "run")
+    page = (tmp_path / "run" / "tables.md").read_text()
+    head = next(line for line in page.splitlines() if "net, K 1" in line)
+    assert [cell.strip() for cell in head.split("|")[2:5]] == ["net, K 1", "net, K 3", "skinning"]
+    assert "0 of 0" not in page
+
+
+def test_a_recording_that_ends_sooner_than_asked_is_whole() -> None:
+    case = plan(replace(REQUEST, models=("skinning",), frames=120)).cases[0]
+    whole = {"diverged": False, "diverged_at": None, "failed_at": None, "frames": 82, "scene_frames": 82}
+    assert Row(case, whole, None, None, "absent").survived_percent == 100.0
+    lost = Row(case, {**whole, "diverged": True, "diverged_at": 41}, None, None, "absent")
+    assert lost.survived_percent == 50.0

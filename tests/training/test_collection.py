@@ -10,7 +10,7 @@ import pytest
 from tests.motion.test_smpl_recordings import write_vto
 
 from pb4u.body.library import load_body
-from pb4u.errors import InputError
+from pb4u.errors import InputError, InputWarning
 from pb4u.garment.library import build_garment
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.obj_file import write_obj
@@ -59,3 +59,11 @@ def test_vto_recordings_are_trained_on_and_every_tenth_validates(tmp_path: Path)
 def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds no file of \.pkl, \.npz, \.bvh, and none of the recordings"):
         collect(selection("skirt"), tmp_path)
+
+
+def test_files_without_poses_stay_out(tmp_path: Path) -> None:
+    write_vto(tmp_path / "clip.pkl")
+    np.savez(tmp_path / "shape.npz", betas=np.zeros(16), gender=np.array("female"))
+    with pytest.warns(InputWarning, match="1 file holds no poses"):
+        data = collect(replace(selection("skirt"), motions=()), tmp_path)
+    assert {clip.name for clip in data.clips} == {"clip"}

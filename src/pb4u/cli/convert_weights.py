@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pb4u.cli.console import JsonFlag, check_json_target, tell
+from pb4u.cli.console import JsonFlag, check_json_target, keep_inputs, tell
 from pb4u.errors import InputError
 from pb4u.io.atomic_file import check_writable
 
@@ -48,6 +48,7 @@ def convert_weights(
     """
     if out.suffix != ".safetensors":
         raise InputError(f"Weights are written as .safetensors; {out} ends in something else.")
+    keep_inputs([checkpoint], [("OUT", out), ("--json", json)])
     check_writable(out, "the weights")
     check_json_target(json)
     from pb4u.compat.released_weights import read_released

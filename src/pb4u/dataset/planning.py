@@ -9,7 +9,6 @@ from pathlib import Path
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.character import Character
-from pb4u.body.library import load_body
 from pb4u.compat.garment_dictionary import read_dictionary_garment
 from pb4u.errors import InputError
 from pb4u.garment.dictionary_entry import DictionaryEntry
@@ -23,7 +22,7 @@ from pb4u.motion.library import load_motion, motion_names
 from pb4u.pattern.dressing import DEFAULT_TRIANGLES
 from pb4u.pattern.files import read_dressed
 from pb4u.run import Run, WornGarment
-from pb4u.scene.moving_body import DEFAULT_FRAMES
+from pb4u.scene.moving_body import DEFAULT_FRAMES, load_body_of
 from pb4u.simulation.models import simulator_of
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
 
@@ -97,7 +96,9 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
     sizes = []
     for job in jobs:
         scene = job.run
-        points, corners, own_frames = body(str(scene.body), scene.clip, scene.motion is None, scene.fps)
+        points, corners, own_frames = body(
+            str(scene.body), scene.clip, scene.body_parts, scene.motion is None, scene.fps
+        )
         frames = scene.frames
         if frames is None:
             moves = None if scene.motion is None else str(scene.motion)
@@ -113,9 +114,11 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
     return sizes
 
 
-def _body_counts(name: str, clip: str | None, alone: bool, fps: float) -> tuple[int, int, int | None]:
+def _body_counts(
+    name: str, clip: str | None, parts: str | None, alone: bool, fps: float
+) -> tuple[int, int, int | None]:
     """Vertices and faces of a body, and its frames where it moves by itself: a character does without a motion."""
-    body, frames = load_body(name, clip=clip), None
+    body, frames = load_body_of(name, clip, parts), None
     if isinstance(body, Character):
         frames = body.available_frames(fps) if alone and body.clip is not None else None
     elif not isinstance(body, ShapedBody) and body.frame_count > 1:

@@ -8,7 +8,6 @@ from typing import Literal, NamedTuple
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.character import Character
-from pb4u.body.library import load_body
 from pb4u.errors import InputError, unknown_name
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.library import garment_names
@@ -18,7 +17,7 @@ from pb4u.jobs.job import digest
 from pb4u.measures.run_job import RunJob
 from pb4u.motion.library import motion_names, recording_file
 from pb4u.run import Run
-from pb4u.scene.moving_body import DEFAULT_MOTION
+from pb4u.scene.moving_body import DEFAULT_MOTION, load_body_of
 from pb4u.simulation.checkpoint import weights_file
 from pb4u.simulation.models import default_model, simulator_of
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
@@ -68,7 +67,7 @@ class JobPlanner:
         self._require_names(run)
         model = self.model(run)
         given = {"model": model.name, "device": model.device}
-        if run.motion is None and self._needs_motion(str(run.body)):
+        if run.motion is None and self._needs_motion(str(run.body), run.clip, run.body_parts):
             # Named, so that its label says what the body performs.
             given["motion"] = DEFAULT_MOTION
         resolved = run.with_entries(given)
@@ -101,7 +100,7 @@ class JobPlanner:
             if file.suffix and not file.exists():
                 raise InputError(f"There is no {kind} file {file}.")
             if kind == "body":
-                load_body(value)
+                load_body_of(str(value), run.clip, run.body_parts)
             elif kind == "material":
                 load_material(value)
             elif not file.suffix and kind in known and str(value) not in known[kind]:
@@ -123,9 +122,9 @@ def _file(value: str) -> Path:
     return recording_file(value)[0] if entry is None else entry.path
 
 
-def _needs_motion(body: str) -> bool:
+def _needs_motion(body: str, clip: str | None, body_parts: str | None) -> bool:
     """Whether a body performs nothing by itself, as sequences and characters with a clip do."""
-    loaded = load_body(body)
+    loaded = load_body_of(body, clip, body_parts)
     if isinstance(loaded, Character):
         return loaded.clip is None and loaded.is_human
     return isinstance(loaded, ShapedBody)

@@ -212,6 +212,7 @@ def make(job: RunJob, simulated: Simulated | None = None) -> Made:
         "solver_iterations": sum(result["solver_iterations"]),
         "own_steps": _own_steps(simulator, result["mean_edge_length"]) or result["propagation_steps"],
         "failed_at": record.failed_at,
+        "scene_frames": scene.frames,
         "machine": machine(job.device),
         "notes": list(dict.fromkeys(told)),
         "bytes": len(content or b""),

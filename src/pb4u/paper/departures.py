@@ -8,7 +8,7 @@ from pb4u.network.acceleration_model import NetworkConfiguration
 from pb4u.network.graph.world_edges import WorldEdgeRule
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.network.propagation import PAPER_PROPAGATION
-from pb4u.network.propagation_control import ConstantDistance
+from pb4u.network.propagation_control import FixedSteps
 from pb4u.network.update_scaling import PerVertexScaling
 from pb4u.simulation.checkpoint import Checkpoint
 
@@ -51,7 +51,7 @@ def description(checkpoint: Checkpoint) -> dict[str, Any]:
             "hours": round(sum(stage.get("hours") or 0.0 for stage in stages), 2),
             "garments": details.get("garments", []),
             "triangles": [min(triangles), max(triangles)] if triangles else [],
-            "propagation_steps": list(record.propagation_steps),
+            "propagation_steps": [] if details.get("resolutions") == "unknown" else list(record.propagation_steps),
         },
         "departs_from_paper": departures(checkpoint),
     }
@@ -79,7 +79,7 @@ def departures(checkpoint: Checkpoint) -> list[str]:
         found.append("World edges join a garment vertex to the nearest of the body, not to all within the threshold.")
     if configuration.propagation != PAPER_PROPAGATION:
         found.append("Propagation has the form of the released code.")
-    if not isinstance(configuration.control, ConstantDistance):
+    if isinstance(configuration.control, FixedSteps):
         found.append("The number of propagation steps does not follow the resolution.")
     if not isinstance(configuration.scaling, PerVertexScaling):
         found.append("Updates are not scaled by the edge length at each vertex.")
@@ -122,6 +122,8 @@ def _other(kind: str, names: set[str], paper: set[str]) -> list[str]:
 def _training(configuration: Pb4uConfiguration, checkpoint: Checkpoint) -> list[str]:
     """Departures of the training."""
     record = checkpoint.record
+    if record.details.get("resolutions") == "unknown":
+        return []
     by_rule = sorted(configuration.control.steps(length) for length in record.mean_edge_lengths)
     least, most = record.propagation_steps
     if [least, most] == by_rule:

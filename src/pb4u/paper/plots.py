@@ -38,9 +38,9 @@ def across_levels(
     figure, axes = _figure(len(quantities), min(3, len(quantities)))
     for axis, quantity in zip(axes, quantities, strict=False):
         means: list[float] = []
-        for model in protocol.models:
-            cells = [summary.cell(level, model) for level in protocol.levels]
-            means += _line(axis, quantity, [(cell.triangles, cell) for cell in cells], model, protocol.models)
+        for name, column in summary.columns.items():
+            cells = [summary.cell(level, *column) for level in protocol.levels]
+            means += _line(axis, quantity, [(cell.triangles, cell) for cell in cells], name, tuple(summary.columns))
         _paper_lines(axis, summary, quantity)
         axis.set_xscale("log")
         axis.set_xticks([_triangles(summary, level) for level in protocol.levels], protocol.levels, minor=False)

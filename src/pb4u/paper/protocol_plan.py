@@ -115,6 +115,11 @@ class _Planning:
     def __init__(self, request: EvaluationRequest) -> None:
         _check_numbers(request)
         protocol = PROTOCOLS[request.protocol]
+        if request.recordings is not None and not (request.motions or protocol.recordings):
+            raise InputError(
+                f"The protocol {request.protocol} has no recordings of its own; name those to take with --motions, "
+                "such as 07_02."
+            )
         self.request, self.planner = request, JobPlanner()
         self.levels = dict(_level(name) for name in request.levels or protocol.levels)
         self.protocol = replace(
@@ -180,7 +185,7 @@ class _Planning:
                     job = self._job(scene, f"{label}{way}", model.name, self.protocol.excess, **options)
                     floor = job
                     if model.name != "solver":
-                        floor = self._job(scene, "solver", "solver", **{**options, "refine": 0})
+                        floor = self._job(scene, "solver", "solver", self.protocol.excess, **{**options, "refine": 0})
                     yield Case(
                         level, motion.label, motion.seed, job, floor if self.request.floors == "run" else None, number
                     )
@@ -260,9 +265,11 @@ def _check_numbers(request: EvaluationRequest) -> None:
             f"The protocol {request.protocol} runs networks alone and by default: leave out --contact, --refine and "
             "--propagation-steps."
         )
+    drawing = ", ".join(name for name, protocol in PROTOCOLS.items() if protocol.scenes)
     if not draws and request.scenes is not None:
-        drawing = ", ".join(name for name, protocol in PROTOCOLS.items() if protocol.scenes)
         raise InputError(f"--scenes are of protocols that draw their scenes: {drawing}.")
+    if not draws and request.seed:
+        raise InputError(f"--seed draws the scenes of {drawing}; elsewhere motions have seeds, as --motions walk-7.")
     if request.recordings is not None and not request.recordings.is_dir():
         raise InputError(f"There is no folder of recordings {request.recordings}.")
     for name in ("models", "garments", "motions", "bodies", "levels", "propagation_steps"):

@@ -175,12 +175,13 @@ class Row:
 
     @property
     def survived_percent(self) -> float | None:
-        """Share of the frames asked for that came before the run diverged."""
+        """Share of the frames of the scene, which a recording may have fewer of than asked for, before divergence."""
         if self.result is None:
             return None
         diverged_at = self.result["diverged_at"]
-        good = self.result["frames"] if diverged_at is None else diverged_at
-        return 100.0 * float(good) / (self.case.job.run.frames or 1)
+        if diverged_at is None:
+            return 100.0
+        return 100.0 * float(diverged_at) / (self.result.get("scene_frames") or self.case.job.run.frames or 1)
 
     @property
     def deepest(self) -> float | None:
@@ -269,6 +270,13 @@ class Summary:
         names |= dict.fromkeys(name for row in self.rows if row.result for name in row.result["metrics_paper"])
         return (*(name for name in names if name != "total"), "total")
 
+    @cached_property
+    def columns(self) -> dict[str, tuple[str, int | None]]:
+        """Name -> model, and the number of propagation steps asked for, of what is compared, in the models' order."""
+        found = dict.fromkeys((row.model, row.coordinates["steps"]) for row in self.rows)
+        ordered = sorted(found, key=lambda each: self.plan.protocol.models.index(each[0]))
+        return {model if steps is None else f"{model}, K {steps}": (model, steps) for model, steps in ordered}
+
     def select(self, **wanted: object) -> list[Row]:
         """Rows whose coordinates have the wanted values.
 
@@ -324,7 +332,7 @@ def summarise(plan: Plan, folder: JobFolder) -> Summary:
     for case in plan.cases:
         result = results[case.job.key]
         reached, source = _reference_energies(case, results)
-        complete = result is not None and result["frames"] == case.job.run.frames and result["failed_at"] is None
+        complete = result is not None and result["failed_at"] is None
         above = ratio(_energies(result), reached) if result and complete and reached else None
         finite = above is not None and math.isfinite(above)
         rows.append(Row(case, result, failures.get(case.job.key), above if finite else None, source))

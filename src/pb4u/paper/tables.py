@@ -67,7 +67,7 @@ def terms_tables(summary: Summary) -> list[Block]:
     protocol = summary.plan.protocol
     tables: list[Block] = []
     for level in protocol.levels:
-        cells = [summary.cell(level, model) for model in protocol.models]
+        cells = [summary.cell(level, *column) for column in summary.columns.values()]
         paper = paper_figures(protocol.name, level)
         rows = [
             [
@@ -90,7 +90,7 @@ def terms_tables(summary: Summary) -> list[Block]:
         rows.append(["deepest penetration [mm]", *deepest, *blank])
         rows.append(["diverged", *(_counts(cell)[0] for cell in cells), *blank])
         rows.append(["scenes", *(_counts(cell)[1] for cell in cells), *blank])
-        head = ["", *(cell.model for cell in cells), *(f"{name} ({PAPER_MARK})" for name in paper)]
+        head = ["", *summary.columns, *(f"{name} ({PAPER_MARK})" for name in paper)]
         theirs = frozenset(range(1 + len(cells), len(head)))
         tables.append(Table(f"Level {level}", "" if tables else _NOTE, head, rows, their_columns=theirs))
     return tables
@@ -134,27 +134,27 @@ def controls_tables(summary: Summary) -> list[Block]:
     Args:
         summary: the run.
     """
-    models, garments = summary.plan.protocol.models, list(dict.fromkeys(summary.plan.protocol.garments))
+    garments = list(dict.fromkeys(row.case.garment for row in summary.rows))
     head = [
         "model", "scenes", "excess height [mm]", "distance from the solver's [mm]", "skin through cloth [%]",
         "crossings a frame", "energy / reference", "diverged", "time a step [ms]", "states below the reference",
     ]  # fmt: skip
     rows, parts = [], []
-    for model in models:
-        done = [row for row in summary.select(model=model) if row.result]
+    for name, (model, steps) in summary.columns.items():
+        done = [row for row in summary.select(model=model, steps=steps) if row.result]
         states = [height for row in done for height in _heights(row)]
         below = sum(_excess(row).get("below_reference", 0) for row in done)
         rows.append(
             [
-                model, f"{len(done)}", _median(states),
-                *(_mean_of(done, name) for name in ("distance_to_reference", "visible_skin_percent")),
+                name, f"{len(done)}", _median(states),
+                *(_mean_of(done, quantity) for quantity in ("distance_to_reference", "visible_skin_percent")),
                 _mean_of(done, "self_intersections"), _mean_of(done, "ratio"),
                 share_text(sum(row.diverged for row in done), len(done)), _mean_of(done, "ms"),
                 f"{below} of {len(states)}",
             ]
         )  # fmt: skip
         named = [[row for row in done if row.case.garment == garment] for garment in garments]
-        parts.append([model, *(_median([height for row in own for height in _heights(row)]) for own in named)])
+        parts.append([name, *(_median([height for row in own for height in _heights(row)]) for own in named)])
     return [
         Table("All scenes", _CONTROLS_NOTE, head, rows),
         Table("By garment", "Excess height [mm], median over states.", ["model", *garments], parts),

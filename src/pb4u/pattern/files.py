@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,7 +94,8 @@ def dressed_once(pattern: Pattern, body: ShapedBody, material: Material, triangl
     path = cache_folder() / "dressed" / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"
     with contextlib.suppress(InputError, OSError):
         mesh, places, _ = read_dressed(path)
-        return passed_on(mesh, places, body, material, None)
+        # Its name is no part of the address.
+        return passed_on(replace(mesh, pattern=pattern), places, body, material, None)
     dressed = dress(pattern, body, triangles, material)
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)

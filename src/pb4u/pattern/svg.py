@@ -80,7 +80,13 @@ def _panel(path: Path, name: str, entry: Any, outline: list[Any]) -> Panel:
         raise InputError(f"{path}: position and rotation of panel {name} must be three numbers each.") from None
     rotation = Rotation.from_euler("XYZ", angles, degrees=True).as_matrix()
     corners, curves = _edges(name, outline)
-    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    ends = np.roll(corners, -1, axis=0)
+    outline_points = [
+        curves[k].at(corners[k], ends[k], np.linspace(0.0, 1.0, 33)) if k in curves else corners[k : k + 1]
+        for k in range(len(corners))
+    ]
+    reached = np.concatenate(outline_points)
+    middle = 0.5 * (reached.min(axis=0) + reached.max(axis=0))
     curves = {k: replace(curve, controls=curve.controls - middle) for k, curve in curves.items()}
     return Panel(name, corners - middle, position, rotation, curves, str(entry.get("label", "")), labels)
 
@@ -139,11 +145,12 @@ def _outlines(path: Path) -> dict[str, list[Any]]:
         from svgelements import SVG, Path as Outline, Shape
 
     with on_disk(f"The drawing {path} cannot be read"):
-        text = path.read_text(encoding="utf-8")
-    if "<!ENTITY" in text or "<use" in text:
+        content = path.read_bytes()
+    # In UTF-16 every other byte is zero.
+    if any(word in content.replace(b"\0", b"") for word in (b"<!ENTITY", b"<use")):
         raise InputError(f"{path} draws by reference (<use> or entities): unlink clones before saving it.")
     try:
-        drawing = SVG.parse(io.StringIO(text), reify=True, ppi=96.0)
+        drawing = SVG.parse(io.BytesIO(content), reify=True, ppi=96.0)
         shapes = [element for element in drawing.elements() if isinstance(element, Shape) and element.id]
         return {shape.values.get(_LABEL) or shape.id: list(abs(Outline(shape))) for shape in shapes}
     except (ValueError, TypeError, SyntaxError, IndexError, KeyError, AttributeError, ZeroDivisionError) as error:

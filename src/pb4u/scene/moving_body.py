@@ -81,6 +81,24 @@ def _load_body(run: Run, recording: RecordingAsItIs | None) -> ShapedBody | Vert
     return body.with_contact(read_contact(Path(run.omitted), len(body.contact)))
 
 
+def load_body_of(
+    body: str, clip: str | None, body_parts: str | None, shape: Mapping[str, float] | None = None
+) -> ShapedBody | VertexSequence:
+    """The body of a run.
+
+    Args:
+        body: `Run.body`, a name or a file.
+        clip: `Run.clip`.
+        body_parts: `Run.body_parts`.
+        shape: shape parameters by name.
+
+    Raises:
+        InputError: it cannot be read, or has no such clip or parts.
+    """
+    parts = None if body_parts is None else [part.strip() for part in body_parts.split(",")]
+    return load_body(body, shape, clip=clip, parts=parts)
+
+
 def _shaped_body(run: Run, shape: Mapping[str, float]) -> ShapedBody | VertexSequence:
     """The body with the `shape` that its recording says, and over it that of the run."""
     body = run.body
@@ -89,8 +107,7 @@ def _shaped_body(run: Run, shape: Mapping[str, float]) -> ShapedBody | VertexSeq
             f"A recording is played as recorded on an SMPL body, given as a model file; {body} has another skeleton."
         )
     if isinstance(body, str | Path):
-        parts = None if run.body_parts is None else [part.strip() for part in run.body_parts.split(",")]
-        return load_body(body, {**shape, **run.body_shape}, clip=run.clip, parts=parts)
+        return load_body_of(str(body), run.clip, run.body_parts, {**shape, **run.body_shape})
     if not isinstance(body, ShapedBody | VertexSequence):
         raise InputError("A moving body must be a shaped body or a vertex sequence.")
     if run.body_shape:

@@ -12,6 +12,7 @@ from pb4u.errors import InputError, warn
 from pb4u.garment.garment import Garment
 from pb4u.garment.library import build_garment
 from pb4u.garment.weight_cache import garment_weights
+from pb4u.io.array_archive import member_names
 from pb4u.motion.library import load_motion, motion_names
 from pb4u.motion.motion import Motion
 from pb4u.progress import Progress, no_progress
@@ -129,7 +130,11 @@ def _recorded(folder: Path) -> dict[str, list[Motion]]:
     found: dict[str, list[Motion]] = {}
     trials = {trial: split for split in ("train", "validation") for trial in RECORDINGS[split]}
     missing = dict(trials)
-    others = [file for file in sorted(folder.rglob("*")) if file.suffix.lower() in _OTHER_RECORDINGS]
+    named = [file for file in sorted(folder.rglob("*")) if file.suffix.lower() in _OTHER_RECORDINGS]
+    others = [file for file in named if not _is_shape(file)]
+    if len(others) < len(named):
+        told = "files hold" if len(named) - len(others) > 1 else "file holds"
+        warn(f"{len(named) - len(others)} {told} no poses, as AMASS's shapes, and stay out of the training.")
     for trial, split in trials.items():
         file = folder / trial.split("_")[0] / f"{trial}.amc"
         if file.is_file():
@@ -146,6 +151,10 @@ def _recorded(folder: Path) -> dict[str, list[Motion]]:
     if missing and not others:
         warn(f"{len(missing)} recordings of the catalogue are not in {folder}.")
     return found
+
+
+def _is_shape(file: Path) -> bool:
+    return file.suffix.lower() == ".npz" and not {"poses", "body_pose"} & set(member_names(file))
 
 
 def _clip(motion: Motion, name: str, split: str, body: ShapedBody, index: int, fps: float) -> PosedClip:

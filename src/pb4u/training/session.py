@@ -12,7 +12,7 @@ from pkgutil import resolve_name
 from types import FrameType
 from typing import Any
 
-from pb4u.errors import InputError
+from pb4u.errors import InputError, warn
 from pb4u.network.acceleration_model import NetworkConfiguration
 from pb4u.network.propagation_control import FixedSteps
 from pb4u.progress import announced
@@ -75,7 +75,17 @@ def train(request: TrainingRequest) -> dict[str, Any]:
         return _summary(trainer, folder, ending)
 
 
+def _refuse_other_data(request: TrainingRequest) -> None:
+    """Refuse a choice of data beside a pack, which holds its own."""
+    if request.recordings is not None:
+        raise InputError("A pack holds its recordings: leave out --recordings, or give it to `pb4u assets pack`.")
+    if chosen := [setting for setting in request.set if setting.startswith("data.")]:
+        warn(f"The pack holds its data already: --set {chosen[0]} does nothing here, but to `pb4u assets pack`.")
+
+
 def _configured(request: TrainingRequest) -> tuple[TrainingConfiguration, Budget]:
+    if request.pack is not None:
+        _refuse_other_data(request)
     preset = request.preset or "small"
     configuration: TrainingConfiguration = resolve_name("pb4u.paper.training_presets:training_preset")(preset)
     begun = None if request.weights is None else from_pretrained(request.weights).configuration
