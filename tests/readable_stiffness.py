@@ -104,6 +104,7 @@ def friction(frozen: StepPotential, x: Tensor, softening: float = 0.8) -> Tensor
         anchor = torch.where(on_ground[:, None], before, anchor)
         normal = torch.where(on_ground[:, None], x.new_tensor(UP), normal)
         touching = on_ground | (distance < term.radius)
+        distance = torch.where(on_ground, before[:, 1] - step.ground_height, distance)
     else:
         touching = distance < term.radius
     force = STANDARD_GRAVITY * step.garments.vertex_masses

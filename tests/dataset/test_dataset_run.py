@@ -146,6 +146,8 @@ def test_a_run_goes_on_with_what_is_missing_and_grows_with_its_file(tmp_path: Pa
     _, did, said = make(runs(5), out, quick)
     assert did == [1, 3, 4]
     assert said[0] == "5 clips, 1 done before, 3 to do, 1 failed before and left (--retry tries them again)."
+    planned, did, _ = make(runs(5), out, quick, retry=True, plan_only=True)
+    assert (did, len(planned["failures"])) == ([], 1)
     made, did, _ = make(runs(5), out, lambda job: quick(plan_clips(runs(1), False, print)[0]), retry=True)
     assert (did, made["failures"], made["done"]) == ([2], [], 5)
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cloth_shapes import CLOTH, saved, triangle_tube, tube_garment
+from cloth_shapes import CLOTH, saved, triangle_tube, tube_garment, with_open_seam
 
 from pb4u.errors import InputError
 from pb4u.garment.garment_file import read_garment
@@ -29,6 +29,14 @@ def test_a_collar_is_the_uppermost_part_of_the_border_that_reaches_highest():
     height = leaning.vertices[:, 1]
     np.testing.assert_array_equal(collar, resolve_pins("waist", leaning) & (height > height.max() - 0.04))
     assert 3 < collar.sum() < 20
+
+
+def test_a_loose_vertex_leaves_pins_by_index_where_they_are(tmp_path):
+    torn = with_open_seam(triangle_tube())
+    loose = replace(torn, vertices=np.concatenate([torn.vertices, [[0.0, 0.7, 0.4]]]))
+    for listed in (0, len(torn.vertices) - 1):
+        pinned = [resolve_pins([listed], read_garment(saved(tmp_path, mesh, "a.obj"), CLOTH)) for mesh in (torn, loose)]
+        np.testing.assert_array_equal(*pinned)
 
 
 def test_unknown_pins_list_the_choices():

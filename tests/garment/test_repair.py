@@ -42,6 +42,16 @@ def test_units_axes_and_origin_are_set_right_with_polygons_and_uvs_kept(woman):
     np.testing.assert_array_equal(np.stack(mended.polygon_uvs), np.stack(mesh.polygon_uvs))
 
 
+def test_cloth_with_a_front_and_a_back_is_not_sewn_shut():
+    mesh = triangle_tube()
+    back = [polygon[::-1] + len(mesh.vertices) for polygon in mesh.polygons]
+    both = PolygonMesh(np.concatenate([mesh.vertices, mesh.vertices]), (*mesh.polygons, *back))
+    mended, said, left = repair(both)
+    assert not any("Welded" in sentence for sentence in said)
+    assert any("no opening" in sentence for sentence in left)
+    assert len(mended.vertices) == len(both.vertices)
+
+
 def test_faults_of_the_mesh_are_mended_without_a_body():
     mesh = triangle_tube()
     torn = with_open_seam(mesh)

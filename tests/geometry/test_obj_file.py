@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cloth_shapes import quad_tube
@@ -32,10 +34,26 @@ def test_every_way_of_writing_a_face(tmp_path):
     np.testing.assert_array_equal(mesh.vertices[2], [1, 1, 0])
 
 
-def test_uvs_of_only_some_faces_are_no_uv_map(tmp_path):
+def test_faces_without_uvs_leave_those_of_the_others(tmp_path):
     path = tmp_path / "partly.obj"
     path.write_text(SQUARE + "vt 0 0\nvt 1 0\nvt 1 1\nf 1/1 2/2 3/3\nf 1 3 4\n")
-    assert read_obj(path).polygon_uvs is None
+    mesh = read_obj(path)
+    assert [corners.tolist() for corners in mesh.polygon_uvs] == [[0, 1, 2], [3, 3, 3]]
+    np.testing.assert_array_equal(mesh.uvs[3], [0, 0])
+
+
+def test_materials_are_told_apart_by_names_in_any_code_and_of_any_sort(tmp_path):
+    path = tmp_path / "two.obj"
+    names = ["面料".encode("gbk"), "里料".encode("gbk")]
+    (tmp_path / "two.mtl").write_bytes(b"newmtl\t%b\nKd 1 0 0\nnewmtl %b\nKd 0 0 1\n" % tuple(names))
+    text = (SQUARE + "mtllib two.mtl\n").encode()
+    path.write_bytes(text + b"usemtl %b\nf 1 2 3\nusemtl %b\nf 1 3 4\n" % tuple(names))
+    mesh = read_obj(path)
+    assert [mesh.appearances.listed[k].colour for k in mesh.appearances.of_face] == [(1, 0, 0), (0, 0, 1)]
+    alike = tuple(replace(each, name="cloth") for each in mesh.appearances.listed)
+    write_obj(tmp_path / "again.obj", replace(mesh, appearances=replace(mesh.appearances, listed=alike)))
+    again = read_obj(tmp_path / "again.obj").appearances
+    assert [again.listed[k].colour for k in again.of_face] == [(1, 0, 0), (0, 0, 1)]
 
 
 @pytest.mark.parametrize(

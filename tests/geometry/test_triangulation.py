@@ -68,3 +68,15 @@ def test_no_polygons_give_no_triangles():
     corners, owner = triangulate(np.zeros((3, 3)), [])
     assert corners.shape == (0, 3)
     assert owner.shape == (0,)
+
+
+def test_a_quad_is_never_cut_outside_of_itself():
+    dart = np.array([[0, 0, 0], [1, 1, 0], [2, 0, 0], [1, 3, 0.0]])
+    midpoint = np.array([[0, 0, 0], [0.5, 0, 0], [1, 0, 0], [0.5, 3, 0.0]])
+    for corners in (dart, midpoint):
+        for turned in range(4):
+            points = np.roll(corners, turned, axis=0)
+            faces, _ = triangulate(points, [np.arange(4)])
+            a, b, c = (points[faces[:, k]] for k in range(3))
+            assert (np.abs(np.cross(b - a, c - a)[:, 2]) > 0.1).all()
+            assert len(set(np.sign(np.cross(b - a, c - a)[:, 2]))) == 1

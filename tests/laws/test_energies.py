@@ -156,6 +156,17 @@ def test_friction_carries_the_load_of_the_step_before() -> None:
     assert value(light, moved, "friction") == pytest.approx(value(usual, moved, "friction"), rel=1e-9)
 
 
+def test_friction_carries_the_load_of_the_ground_too() -> None:
+    garments = packed(sheet(3, 3))
+    x = garments.rest_positions[:, [0, 2, 1]] + vector(-0.5, 1e-3, -0.5)
+    body = collider(FLOOR - [0, 5, 0], FLOOR_FACES, ground_height=0.0)
+    moved = x + vector(0.02, 0.0, 0.0)
+    loaded = potential_of(garments, at_rest(garments, x), body)
+    usual = potential_of(garments, at_rest(garments, x), body, alone(Friction()))
+    ratio = 3 * 5e3 / REFERENCE_AREA * 1e-3**2 / (EVALUATION.density * 9.81)
+    assert value(loaded, moved, "friction") == pytest.approx(ratio * value(usual, moved, "friction"), rel=1e-9)
+
+
 def crumpled(seed: int = 0) -> tuple[StepPotential, torch.Tensor]:
     garments = packed(tube(12, 6, 0.155, 0.5))
     body = capsule()

@@ -76,6 +76,7 @@ def test_every_garment_has_its_own_propagation_steps() -> None:
     alone = overlay.notes[0].split("mean edge ")[1]
     overlay = UpdateScale(RecordedClip(trajectory(2), "a"))
     overlay.ruler = SimpleNamespace(garments=pack([inner, outer]))  # type: ignore[assignment]
+    overlay.clip.header.metadata["propagation_steps"] = 2  # the most of all garments
     first, second = overlay.notes
     assert first.startswith("a, inner: K = 2 by the paper's rule")
     assert first.endswith(alone)

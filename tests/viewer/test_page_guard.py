@@ -75,6 +75,7 @@ def test_its_own_page_is_answered(local: Studio) -> None:
 def test_a_port_that_leads_here_from_elsewhere_is_answered(local: Studio) -> None:
     # As by `ssh -L 9000:localhost:8094`: the browser knows the other end only.
     assert answer(local, Host="localhost:9000")[0] == 200
+    assert answer(local, Host=f"127.0.0.2:{port(local)}")[0] == 200
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pb4u.errors import InputError
+from pb4u.errors import InputError, warn
 from pb4u.geometry.edge_operations import (
     collapse_short_edges,
     cornerwise_normals,
@@ -19,6 +19,8 @@ from pb4u.geometry.triangle_mesh import face_areas
 
 # Relative deviation from the wanted number of triangles at which the edge length is adjusted no more.
 _COUNT_TOLERANCE = 0.02
+# Share of its area that a remeshed surface keeps where nothing of it is lost; a coarse one cuts its corners.
+_KEPT_AREA = 0.92
 # A border that turns by more than this [rad] from one edge to the next has a corner, which stays where it is.
 _SHARP_TURN = np.radians(50.0)
 
@@ -94,6 +96,11 @@ def remesh(
         length *= float(np.clip(np.sqrt(ratio), 0.7, 1.4))
         vertices, faces, locked = _isotropic(vertices, faces, locked, length, surface, rounds=3)
     vertices, faces = _polish(vertices, faces, locked, surface)
+    if not smooth and (left := float(face_areas(vertices, faces).sum()) / area) < _KEPT_AREA:
+        warn(
+            f"Remeshed to {len(faces)} triangles only {100 * left:.0f} % of the area is left: layers nearer to each "
+            "other than an edge, such as turned-up cuffs, are lost; ask for more triangles, or keep the mesh."
+        )
     result = Topology(faces, len(vertices))
     if len(result.boundary_loops) != len(source.boundary_loops):
         raise InputError(

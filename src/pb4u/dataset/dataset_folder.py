@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import tarfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -128,7 +129,7 @@ def _loose(key: str) -> str:
 
 def _shard_members(folder: Path) -> dict[str, str]:
     found: dict[str, str] = {}
-    for shard in sorted(folder.glob("shard-*.tar")):
+    for shard in sorted(each for each in folder.glob("shard-*.tar") if re.fullmatch(r"shard-\d+\.tar", each.name)):
         try:
             with tarfile.open(shard, "r:") as archive:
                 names = archive.getnames()

@@ -66,7 +66,7 @@ def make_dataset(
     except InputError as error:
         raise InputError(f"{jobs_file}: {error}" if jobs_file else str(error)) from None
     with DatasetFolder(out, clips_per_shard, half) as folder:
-        missing = folder.still_to_do(jobs, "clips", retry, say)
+        missing = folder.still_to_do(jobs, "clips", retry, say, plan_only=plan_only)
         if missing:
             size = sum(footprints(missing))
             room = f"{size_text(size)} on the disk, which has {size_text(_free(out))} free"

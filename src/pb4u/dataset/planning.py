@@ -10,6 +10,7 @@ from pathlib import Path
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.character import Character
 from pb4u.compat.garment_dictionary import read_dictionary_garment
+from pb4u.compat.recording_as_released import RecordingAsItIs
 from pb4u.errors import InputError
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.garment_file import read_source
@@ -102,7 +103,8 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
         frames = scene.frames
         if frames is None:
             moves = None if scene.motion is None else str(scene.motion)
-            frames = own_frames or recorded(moves, scene.crop, scene.fps) or DEFAULT_FRAMES
+            how = (scene.fps, scene.recorded_fps, scene.as_recorded)
+            frames = own_frames or recorded(moves, scene.crop, *how) or DEFAULT_FRAMES
         frames += scene.lead_in if scene.keep_lead_in else 0
         faces = [each.triangles or triangles(each) for each in scene.garments]
         # A sheet has half as many vertices as triangles, and half as many more as its borders have edges.
@@ -140,10 +142,14 @@ def _garment_triangles(garment: WornGarment) -> int:
     return sum(len(polygon) - 2 for polygon in read_source(file).polygons)
 
 
-def _recorded_frames(motion: str | None, crop: tuple[int, int] | None, fps: float) -> int | None:
+def _recorded_frames(
+    motion: str | None, crop: tuple[int, int] | None, fps: float, recorded_fps: float | None, as_recorded: bool
+) -> int | None:
     """Frames of a recording at a rate; None of a clip without an end."""
     if motion is None or motion in motion_names():
         return None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # warned of again where the clip is made
-        return load_motion(motion, crop).available_frames(fps)
+        if as_recorded:
+            return RecordingAsItIs(Path(motion), crop).available_frames(fps)
+        return load_motion(motion, crop, recorded_fps=recorded_fps).available_frames(fps)

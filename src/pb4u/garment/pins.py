@@ -131,7 +131,8 @@ def _from_indices(indices: np.ndarray, garment: Garment, where: str) -> np.ndarr
     if garment.source is None or not len(indices):
         return listed if garment.source is None else np.zeros(len(garment.vertices), dtype=bool)
     corners = garment.source.barycentric.argmax(axis=1)
-    if np.isclose(garment.source.barycentric.max(axis=1), 1.0).all():
+    worn = np.unique(np.concatenate(garment.source.source.polygons))
+    if np.isclose(garment.source.barycentric[worn].max(axis=1), 1.0).all():
         # Every vertex of the author's is one that is simulated, be it sewn to another, which moved it.
         same = np.zeros(len(garment.vertices), dtype=bool)
         same[garment.faces[garment.source.triangle, corners][indices]] = True

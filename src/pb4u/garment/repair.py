@@ -90,6 +90,9 @@ def _welded(source: PolygonMesh, said: list[str], left: list[str]) -> PolygonMes
     if len(joined.non_manifold_edges) > len(surface.topology.non_manifold_edges):
         left.append("Seams were left open: welded, more than two faces would share an edge.")
         return source
+    if len(surface.topology.boundary_loops) and not len(joined.boundary_loops):
+        left.append("Seams were left open: welded, the garment would have no opening; is every face there twice?")
+        return source
     said.append(f"Welded {len(surface.unwelded)} border vertices.")
     return replace(source, polygons=tuple(target[p] for p in source.polygons))
 

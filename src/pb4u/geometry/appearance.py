@@ -6,6 +6,7 @@ import io
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, count
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,16 @@ class Appearances:
             faces: (faces,) int64 the face that each takes its appearance from.
         """
         return replace(self, of_face=self.of_face[faces])
+
+    def named_apart(self) -> Appearances:
+        """The same with a name of its own for each, as a file that tells them by name needs."""
+        taken, listed = set[str](), list[Appearance]()
+        for each in self.listed:
+            names = chain((each.name,), (f"{each.name}.{number}" for number in count(1)))
+            name = next(name for name in names if name not in taken)
+            taken.add(name)
+            listed.append(replace(each, name=name))
+        return replace(self, listed=tuple(listed))
 
     @staticmethod
     def joined(parts: Sequence[Appearances | None], faces: Sequence[int]) -> Appearances | None:
@@ -145,6 +156,18 @@ def as_png(image: object) -> bytes:
     return written.getvalue()
 
 
+def text_of(name: bytes) -> str:
+    """Text of a line that a program wrote in UTF-8, or in a code of its own, whose names stay apart then.
+
+    Args:
+        name: as it is in the file.
+    """
+    try:
+        return name.decode("utf-8")
+    except UnicodeDecodeError:
+        return name.decode("latin-1")
+
+
 def read_mtl(path: Path) -> dict[str, Appearance]:
     """The appearances of an MTL file by name: Kd, or map_Kd alone where there is one; warns of missing images.
 
@@ -156,8 +179,8 @@ def read_mtl(path: Path) -> dict[str, Appearance]:
     """
     found: dict[str, Appearance] = {}
     current = Appearance("")
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-        kind, _, rest = line.strip().partition(" ")
+    for line in map(text_of, path.read_bytes().splitlines()):
+        kind, rest = (*line.split(None, 1), "", "")[:2]
         if kind == "newmtl":
             current = Appearance(rest.strip(), (0.8, 0.8, 0.8))
         elif kind == "Kd" and current.image is None:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pb4u.errors import InputError, on_disk
-from pb4u.geometry.appearance import Appearance, Appearances, read_mtl, write_mtl
+from pb4u.geometry.appearance import Appearance, Appearances, read_mtl, text_of, write_mtl
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.io.atomic_file import replace_file
 
@@ -57,8 +57,10 @@ def read_obj(path: Path) -> PolygonMesh:
     corners, uv_corners, ends = _corners(path, content.faces)
     _refuse_out_of_range(path, content.faces, corners, len(vertices), ends, "vertex")
     polygon_uvs = None
-    # Faces without a texture beside faces with one: there is no UV map of the whole garment then.
-    if len(uvs) and not (uv_corners == -1).any():
+    if len(uvs) and not (uv_corners == -1).all():
+        if (bare := uv_corners == -1).any():
+            # Buttons without UVs beside textured cloth: they lie at one point of it.
+            uv_corners, uvs = np.where(bare, len(uvs), uv_corners), np.concatenate([uvs, np.zeros((1, 2))])
         _refuse_out_of_range(path, content.faces, uv_corners, len(uvs), ends, "texture coordinate")
         polygon_uvs = tuple(np.split(uv_corners, ends[:-1]))
     used = [(0, ""), *content.used]
@@ -118,7 +120,7 @@ def _content(path: Path) -> _Content:
         elif kind == b"vt":
             found.uvs.append((number, line))
         elif line.startswith((b"usemtl", b"mtllib")):
-            name = line[6:].strip().decode("utf-8", "replace")
+            name = text_of(line[6:].strip())
             if kind == b"us":
                 found.used.append((len(found.faces), name))
             else:
@@ -204,7 +206,8 @@ def write_obj(path: Path, mesh: PolygonMesh, groups: Sequence[str] = ()) -> None
     Raises:
         InputError: the file cannot be written.
     """
-    looks, names = mesh.appearances, [""] * len(mesh.polygons)
+    looks = None if mesh.appearances is None else mesh.appearances.named_apart()
+    names = [""] * len(mesh.polygons)
     parts = [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in mesh.vertices.tolist()]
     if looks is not None:
         mtl = path.with_name(f"{path.stem}.pb4u.mtl")

@@ -6,11 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+_FLAT = 1e-6
+"""Share of a quad below which a triangle of it has no area."""
+
 
 def triangulate(vertices: np.ndarray, polygons: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Triangles of polygons, in the polygons' order and orientation.
 
-    A quad is cut along its shorter diagonal, an n-gon by clipping ears in its mean plane.
+    A quad is cut along its shorter diagonal, or the one within it; an n-gon by clipping ears in its mean plane.
 
     Args:
         vertices: (vertices, 3) [m].
@@ -26,7 +29,9 @@ def triangulate(vertices: np.ndarray, polygons: Sequence[np.ndarray]) -> tuple[n
     three, four, more = (np.flatnonzero(k) for k in (sizes == 3, sizes == 4, sizes > 4))
     quad = starts[four, None] + np.arange(4)
     p = vertices[flat[quad]]
-    across = np.linalg.norm(p[:, 0] - p[:, 2], axis=1) <= np.linalg.norm(p[:, 1] - p[:, 3], axis=1)
+    first, second = _least_turned(p, (0, 1, 2, 3)), _least_turned(p, (1, 2, 3, 0))
+    shorter = np.linalg.norm(p[:, 0] - p[:, 2], axis=1) <= np.linalg.norm(p[:, 1] - p[:, 3], axis=1)
+    across = np.where((first > _FLAT) == (second > _FLAT), shorter, first > _FLAT)
     cuts = np.where(across[:, None], [[0, 1, 2, 0, 2, 3]], [[0, 1, 3, 1, 2, 3]])
     corners = [starts[three, None] + np.arange(3), np.take_along_axis(quad, cuts, axis=1).reshape(-1, 3)]
     owners = [three, np.repeat(four, 2)]
@@ -37,6 +42,20 @@ def triangulate(vertices: np.ndarray, polygons: Sequence[np.ndarray]) -> tuple[n
     owner = np.concatenate(owners).astype(np.int64)
     order = np.argsort(owner, kind="stable")
     return np.concatenate(corners)[order].astype(np.int64), owner[order]
+
+
+def _least_turned(quads: np.ndarray, order: tuple[int, int, int, int]) -> np.ndarray:
+    """The smaller of the two triangles that a diagonal makes of each quad (quads, 4, 3), as a share of the quad.
+
+    Not positive where the diagonal lies outside: from the first to the third corner in that order.
+    """
+    a, b, c, d = (quads[:, corner] for corner in order)
+    normals = np.cross(c - a, d - b)
+    areas = np.stack(
+        [np.einsum("qi,qi->q", np.cross(b - a, c - a), normals), np.einsum("qi,qi->q", np.cross(c - a, d - a), normals)]
+    )
+    whole = np.einsum("qi,qi->q", normals, normals)
+    return areas.min(axis=0) / np.where(whole > 0.0, whole, 1.0)
 
 
 def _clip_ears(points: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import suppress
 from pathlib import Path
 from urllib.parse import unquote
@@ -23,10 +24,27 @@ def with_companions(path: Path) -> list[Path]:
     kind = path.suffix.lower()
     if kind in (".toml", ".gltf"):
         return [path, *_named_within(path)]
+    looks = _looks_of(path) if kind == ".obj" else []
     if kind == ".npy":  # of TRAM
         return [path, *{each for up in path.absolute().parents[:2] if (each := up / "camera.npy").is_file()}]
     near = (each for each in path.absolute().parent.glob("*") if each.suffix.lower() in _BESIDE.get(kind, ()))
-    return [path, *(each for each in near if each.suffix.lower() == ".asf" or each.stem == path.stem)]
+    return [path, *(each for each in near if each.suffix.lower() == ".asf" or each.stem == path.stem), *looks]
+
+
+def _looks_of(path: Path) -> list[Path]:
+    """The MTL files of an OBJ, and the images that they name."""
+
+    def named(file: Path, what: bytes) -> list[Path]:
+        with suppress(OSError):
+            names = re.findall(rb"^[ \t]*" + what + rb"[ \t]+(.+?)[ \t\r]*$", file.read_bytes(), re.MULTILINE)
+            # Options stand before the name of an image.
+            ways = [way.replace("\\", "/") for name in names for way in (name.decode("utf-8", "replace"),)]
+            ways += [way.split()[-1] for way in ways]
+            return [beside for way in dict.fromkeys(ways) if (beside := file.parent / way).is_file()]
+        return []
+
+    libraries = named(path, b"mtllib")
+    return [*libraries, *(image for library in libraries for image in named(library, b"map_Kd"))]
 
 
 def _named_within(path: Path) -> list[Path]:

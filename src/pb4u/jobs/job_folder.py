@@ -202,7 +202,9 @@ class JobFolder:
         """
         self._failed(job).unlink(missing_ok=True)
 
-    def still_to_do(self, jobs: Sequence[Job], noun: str, retry: bool, say: Callable[[str], None]) -> list[Any]:
+    def still_to_do(
+        self, jobs: Sequence[Job], noun: str, retry: bool, say: Callable[[str], None], *, plan_only: bool = False
+    ) -> list[Any]:
         """The jobs without a result, those left out that failed before.
 
         Args:
@@ -210,11 +212,12 @@ class JobFolder:
             noun: what the jobs are called, in the plural.
             retry: take those that failed before as well.
             say: takes a sentence on how many are done, failed and to do.
+            plan_only: whether they are only counted, and what is known of failures stays.
         """
         undone = [job for job in jobs if self.result(job) is None]
         failed = {job.key for job in undone if self.failure(job)}
         if retry:
-            for job in undone:
+            for job in () if plan_only else undone:
                 self.forget_failure(job)
             failed = set()
         missing = [job for job in undone if job.key not in failed]

@@ -104,8 +104,8 @@ def read_members(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 def _whole_precision(members: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
     """The streamed members of a file in half precision, as they are in one of the first format."""
-    # Each takes twice its size in the file, and is no longer mapped.
-    require_room(path, 4 * sum(members[name].size for name in _STREAMED))
+    # In memory each takes twice its size in the file.
+    require_room(path, sum(members[name].nbytes for name in _STREAMED))
     whole = {name: np.asarray(members[name], dtype=np.float32) for name in _STREAMED}
     for name, origins in _ORIGINS.items():
         whole[name] = whole[name] + members[origins][:, None]

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.rooms import Rooms
+from pb4u.errors import InputError
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.colliders import ColliderFrame, ColliderPose, PackedColliders, pack_colliders
 from pb4u.scene.packed import PackedGarments, pack
@@ -113,9 +114,14 @@ class Timeline:
             scenes: garments and bodies, of one frame rate, gravity and ground.
             dtype: data type of positions and static quantities.
             device: device of the arrays.
+
+        Raises:
+            InputError: there is no body.
         """
         worn = [(world, each) for world, scene in enumerate(scenes) for each in scene.garments]
         bodies = [(world, body) for world, scene in enumerate(scenes) for body in scene.colliders]
+        if not bodies:
+            raise InputError("A scene needs a body; give one that stands still where nothing is to be worn.")
         garments = pack([each.garment for _, each in worn], dtype, device, [world for world, _ in worn])
         colliders = pack_colliders(
             [torch.as_tensor(body.faces, device=device) for _, body in bodies],

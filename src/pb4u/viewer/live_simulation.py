@@ -136,6 +136,8 @@ class LiveSimulation(Worker):
         for frame in simulator.written_frames(scene, record, stepped):
             clip.append(frame)
             self._advanced(clip, scene.lead_in + clip.frame_count, scene.total_frames)
+        if record.failed_at is not None and not clip.frame_count:
+            return str(record.lost_early()), Ending.failed
         if record.failed_at is not None:
             return (
                 f"The state stopped being finite at frame {record.failed_at}; {clip.frame_count} frames are there. "

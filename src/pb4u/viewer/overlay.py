@@ -260,6 +260,8 @@ class UpdateScale(PaintedOverlay):
     def notes(self) -> tuple[str, ...]:
         """K, mean edge and range of the factor, of each garment."""
         garments, simulated = self.ruler.garments, self.clip.header.metadata.get("propagation_steps")
+        if garments.garment_count > 1:
+            simulated = None  # it is the most of all garments
         whence = "as simulated" if simulated else "by the paper's rule"
         lines = []
         for number, (garment, mean) in enumerate(zip(garments.garments, garments.mean_edge_lengths, strict=True)):

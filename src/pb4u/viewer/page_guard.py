@@ -17,8 +17,6 @@ from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-_LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
-
 
 class PageGuard:
     """Decides on a request by its headers.
@@ -45,7 +43,7 @@ class PageGuard:
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or len(origins) > 1:
             return "The request does not say which address it is for."
-        if self.is_local and _name(hosts[0]) not in _LOCAL_NAMES:
+        if self.is_local and _name(hosts[0]) != "localhost" and not _is_loopback(_name(hosts[0])):
             return "The studio listens on this machine alone; open it as http://localhost and its port."
         is_websocket = "websocket" in headers.get("Upgrade", "").lower()
         # A browser sends the origin with every websocket; one without is no page of the studio.

@@ -91,10 +91,13 @@ class PlotPanel(Panel):
             measurements: of every clip that is shown.
             frame: frame of the timeline at which the line stands.
         """
+        if not measurements:
+            self._clear()
+            return
         now, title = time.monotonic(), self._quantity.value
         progress = [(measurement, measurement.done, measurement.failure) for measurement in measurements]
         wanted = (title, frame, progress)
-        if not measurements or now - self._last < self._EVERY or wanted == self._drawn:
+        if now - self._last < self._EVERY or wanted == self._drawn:
             return
         self._last, self._drawn = now, wanted
         name, fps = self._names.get(title, "stretch"), measurements[0].clip.header.fps
@@ -106,6 +109,13 @@ class PlotPanel(Panel):
         done, total = sum(done for _, done, _ in progress), sum(m.clip.frame_count for m in measurements)
         text = failures[0] if failures else "" if done >= total else f"Measured {done} of {total} frames."
         self._status.content = notice(text)
+
+    def _clear(self) -> None:
+        """Leave no curves of a clip that is not shown any more."""
+        if self._plot is not None:
+            self._plot.remove()
+            self._plot, self._heading, self._drawn = None, (), None
+            self._status.content = notice("Measured once the simulation has ended.")
 
     def _draw(self, title: str, labels: tuple[str, ...], curves: list[np.ndarray], frame: float) -> None:
         """Send the curves; a new plot is made where its labels change, since a plot cannot change them."""

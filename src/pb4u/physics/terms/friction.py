@@ -94,10 +94,11 @@ class Friction(EnergyTerm):
             height = before[:, 1] - step.ground_height
             on_ground = (height < self.radius) & (height < distance)
             touching = touching | on_ground
+            distance = torch.where(on_ground, height, distance)
             anchor = torch.where(on_ground[:, None], before, anchor)
             normal = torch.where(on_ground[:, None], constant(UP, before.dtype, before.device), normal)
         force = STANDARD_GRAVITY * step.garments.vertex_masses
-        if self.load is not None and now is not None:
+        if self.load is not None:
             # Cloth deep inside is a fault to be mended, not a load: its force would freeze it there.
             depth = (self.load.clearance - distance).clamp(0.0, 2.0 * self.load.clearance)
             pressed = 3.0 * self.load.weight / REFERENCE_AREA * step.garments.vertex_areas * depth**2
