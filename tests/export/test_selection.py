@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from pb4u.errors import InputError, InputWarning
-from pb4u.export.selection import on_source, select_frames
+from pb4u.export.selection import looks_are_on_source, on_source, select_frames
+from pb4u.geometry.appearance import Appearance, Appearances
 from pb4u.scene.author_mesh import SourceTrack
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 
@@ -87,3 +88,21 @@ def test_the_rows_of_each_garment_are_those_on_the_source(trajectory: Trajectory
     )  # fmt: skip
     found = on_source(Trajectory(header, *_arrays(trajectory))).header.garments
     assert [(each["vertices"], each["triangles"]) for each in found] == [([0, 3], [0, 1]), ([3, 7], [1, 3])]
+
+
+def test_colours_on_the_authors_mesh_alone_are_looked_for_garment_by_garment(trajectory: Trajectory) -> None:
+    track = SourceTrack(
+        faces=np.array([[0, 1, 2], [3, 4, 5]]),
+        triangle=np.array([0, 0, 0, 1, 1, 1]),
+        barycentric=np.eye(3)[[0, 1, 2] * 2],
+    )
+    header = replace(
+        trajectory.header, faces=np.array([[0, 1, 1], [2, 3, 3]]), vertex_garment=np.array([0, 0, 1, 1], np.int32)
+    )
+    plain, first, both = (
+        Appearances((Appearance("red"),), np.array(of_face)) for of_face in ([-1, -1], [0, -1], [0, 0])
+    )
+    cases = ((None, None, False), (None, both, True), (first, both, True), (both, both, False), (first, first, False))
+    for simulated, author, wanted in (*cases, (first, plain, False)):
+        there = replace(header, appearances=simulated, source=replace(track, appearances=author))
+        assert looks_are_on_source(there) is wanted

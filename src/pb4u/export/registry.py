@@ -266,7 +266,7 @@ def export(
     if view is not None:
         check_view(path, view)
     header = trajectory.header
-    if form.coloured and header.appearances is None and header.source is not None and header.source.appearances:
+    if form.coloured and _function("pb4u.export.selection:looks_are_on_source")(header):
         trajectory = _function("pb4u.export.selection:on_source")(trajectory)
     shown = _function("pb4u.export.finite_frames:hold_finite")(trajectory) if form.finite else trajectory
     writer = _function(form.writer)

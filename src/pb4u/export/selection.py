@@ -9,6 +9,8 @@ from typing import Any, cast
 import numpy as np
 
 from pb4u.errors import InputError, warn
+from pb4u.geometry.appearance import Appearances
+from pb4u.scene.author_mesh import Polygons
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
 
 Compute = Callable[[Any, Any], np.ndarray]
@@ -87,6 +89,27 @@ def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: i
         trajectory.velocities[kept],
         trajectory.body_positions[kept],
     )
+
+
+def looks_are_on_source(header: TrajectoryHeader) -> bool:
+    """Whether a garment has its colours and images on the author's mesh alone, as one that was remeshed.
+
+    Args:
+        header: of the trajectory.
+    """
+    track = header.source
+    if track is None or track.appearances is None:
+        return False
+
+    def coloured(looks: Appearances | None, outlines: Polygons, owners: np.ndarray) -> set[int]:
+        if looks is None:
+            return set()
+        first = outlines.corners[np.cumsum(outlines.sizes) - outlines.sizes]
+        return set(owners[first[looks.of_face >= 0]].tolist())
+
+    there = track.polygons or Polygons.of_triangles(track.faces, None)
+    simulated = coloured(header.appearances, header.outlines, header.vertex_garment)
+    return not coloured(track.appearances, there, source_garments(header)) <= simulated
 
 
 def on_source(trajectory: Trajectory) -> Trajectory:

@@ -231,6 +231,10 @@ def _with_image(appearance: Appearance, mtl: Path, words: list[str]) -> Appearan
         name = " ".join(words[k:]).replace("\\", "/")
         for file in (mtl.parent / name, mtl.parent / Path(name).name):
             if file.is_file():
-                return Appearance(appearance.name, image=read_image(file))
+                try:
+                    return Appearance(appearance.name, image=read_image(file))
+                except InputError as error:
+                    warn(f"{mtl.name}: {error}")
+                    return appearance
     warn(f"{mtl.name}: the image {words[-1] if words else ''} is missing; put it beside the file to see it.")
     return appearance
