@@ -84,7 +84,7 @@ def check(
         _check_fix(fix, given)
     if triangles is not None and not all(name in garment_names() or _is_sewn(name) for name in names):
         warn(
-            "--triangles is for what is made here and is not used; the mesh that a file holds is checked as it is, and "
+            "--triangles is for a built-in garment or a pattern and is not used here; a mesh is checked as it is, and "
             "`pb4u simulate --triangles` remeshes it.",
         )
     with warnings.catch_warnings():
