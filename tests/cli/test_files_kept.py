@@ -338,7 +338,7 @@ def test_the_files_that_a_file_names_are_kept(files: Path, pb4u: Callable) -> No
     ended = pb4u("check", "tshirt", "--body", "room.gltf", "--json", "a room.bin")
     assert "would overwrite a room.bin, which is read" in ended.err
     assert (Path("skirt.svg").read_text(), Path("a room.bin").read_bytes()) == ("mine", b"mine")
-    Path("worn.obj").write_text("mtllib worn.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    Path("worn.obj").write_text("mtllib   \nmtllib worn.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     Path("worn.mtl").write_text("newmtl a\nmap_Kd -clamp on worn.png\n")
     Path("worn.png").write_bytes(b"mine")
     for kept, flags in (("worn.png", ("--out", "worn.png")), ("worn.mtl", ("--out", "a.npz", "--json", "worn.mtl"))):

@@ -36,11 +36,11 @@ def _looks_of(path: Path) -> list[Path]:
 
     def named(file: Path, what: bytes) -> list[Path]:
         with suppress(OSError):
-            names = re.findall(rb"^[ \t]*" + what + rb"[ \t]+(.+?)[ \t\r]*$", file.read_bytes(), re.MULTILINE)
+            found = re.findall(rb"^[ \t]*" + what + rb"[ \t]+(\S.*?)\s*$", file.read_bytes(), re.MULTILINE)
+            names = [name.decode("utf-8", "replace").replace("\\", "/") for name in found]
             # Options stand before the name of an image.
-            ways = [way.replace("\\", "/") for name in names for way in (name.decode("utf-8", "replace"),)]
-            ways += [way.split()[-1] for way in ways]
-            return [beside for way in dict.fromkeys(ways) if (beside := file.parent / way).is_file()]
+            names += [name.split()[-1] for name in names]
+            return [beside for name in dict.fromkeys(names) if (beside := file.parent / name).is_file()]
         return []
 
     libraries = named(path, b"mtllib")

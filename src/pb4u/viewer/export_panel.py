@@ -15,6 +15,7 @@ from pb4u.errors import InputError, refuse_unknown
 from pb4u.export.registry import WRITERS, export
 from pb4u.export.video_writer import writes_mp4
 from pb4u.io.atomic_file import replace_file
+from pb4u.io.companions import with_companions
 from pb4u.run import Run
 from pb4u.viewer.clip import Clip
 from pb4u.viewer.film import SUFFIXES as FILM_SUFFIXES
@@ -103,13 +104,9 @@ def pack_scene(run: Run, folder: Path) -> tuple[str, bytes]:
     named = [path for path in run.files if isinstance(path, Path)]
     if not named:
         return "scene.toml", text.encode()
-    # What belongs to a file lies beside it under the same name; a skeleton serves all recordings beside it.
-    beside = {
-        other
-        for path in named
-        for other in path.parent.iterdir()
-        if other.stem == path.stem or (path.suffix.lower() == ".amc" and other.suffix.lower() == ".asf")
-    }
+    # What belongs to a file lies beside it: under the same name, or by a name that it tells.
+    alike = {other for path in named for other in path.parent.iterdir() if other.stem == path.stem}
+    beside = alike | {other for path in named for other in with_companions(path)}
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("scene.toml", text)

@@ -27,7 +27,7 @@ class PageGuard:
     """
 
     def __init__(self, host: str, port: int) -> None:
-        self.is_local = host == "localhost" or _is_loopback(host)
+        self.is_local = _is_here(host)
         #: What whoever comes from another machine has to show; empty where the studio listens on this one alone.
         self.token = "" if self.is_local else secrets.token_urlsafe(24)
         # A browser keeps one cookie of a name for all ports of a host.
@@ -43,7 +43,7 @@ class PageGuard:
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or len(origins) > 1:
             return "The request does not say which address it is for."
-        if self.is_local and _name(hosts[0]) != "localhost" and not _is_loopback(_name(hosts[0])):
+        if self.is_local and not _is_here(_name(hosts[0])):
             return "The studio listens on this machine alone; open it as http://localhost and its port."
         is_websocket = "websocket" in headers.get("Upgrade", "").lower()
         # A browser sends the origin with every websocket; one without is no page of the studio.
@@ -93,9 +93,10 @@ def _is_same_origin(origin: str, host: str) -> bool:
     return bool(separator) and scheme in ("http", "https") and rest.lower() == host.lower()
 
 
-def _is_loopback(host: str) -> bool:
+def _is_here(host: str) -> bool:
+    """Whether a name or address is this machine's for itself."""
     try:
-        return ipaddress.ip_address(host).is_loopback
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
 
