@@ -222,3 +222,17 @@ def test_beside_a_garment_without_uvs_the_other_keeps_its_own(tmp_path: Path) ->
 
 def _pixels() -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(png())))
+
+
+def test_an_image_of_several_parts_is_written_once(printed: Trajectory, tmp_path: Path) -> None:
+    looks = printed.header.appearances
+    assert looks is not None
+    both = replace(looks, listed=tuple(replace(each, image=png()) for each in looks.listed))
+    shared = replace(printed, header=replace(printed.header, appearances=both))
+    glb = Glb(export(shared, tmp_path / "tube.glb"))
+    assert len(glb.json["images"]) == len(glb.json["textures"]) == 1
+    for material in glb.json["materials"][:2]:
+        assert material["pbrMetallicRoughness"]["baseColorTexture"] == {"index": 0}
+    pytest.importorskip("pxr")
+    export(shared, tmp_path / "tube.usdc")
+    assert [file.name for file in tmp_path.glob("tube.texture*")] == ["tube.texture0.png"]

@@ -158,7 +158,14 @@ def test_a_moving_body_is_no_recording(tmp_path):
         load_motion(path)
 
 
-@pytest.mark.parametrize("key", ["poses", "trans", "mocap_framerate"])
+def test_a_rate_that_amass_does_not_tell_can_be_given(tmp_path):
+    path = write_amass(tmp_path / "a.npz", mocap_framerate=None)
+    with pytest.raises(InputError, match="does not tell its frame rate; give it with --recorded-fps"):
+        load_motion(path)
+    assert load_motion(path, recorded_fps=120.0).duration == pytest.approx(19 / 120)
+
+
+@pytest.mark.parametrize("key", ["poses", "trans"])
 def test_amass_without_a_key_is_refused(tmp_path, key):
     with pytest.raises(InputError, match=f"has no {key}"):
         load_motion(write_amass(tmp_path / "a.npz", **{key: None}))

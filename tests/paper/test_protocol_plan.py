@@ -176,3 +176,8 @@ def test_networks_with_fixed_steps_too_can_be_told(tmp_path: Path) -> None:
     save_checkpoint(tmp_path / "a.safetensors", AccelerationModel(configuration.network()), configuration, record)
     planned = plan(replace(SMALL, protocol="depth", models=(str(tmp_path / "a.safetensors"),)))
     assert [case.job.run.propagation_steps for case in planned.cases] == list(PROTOCOLS["depth"].steps)
+
+
+def test_garments_that_tables_would_call_the_same_are_refused() -> None:
+    with pytest.raises(InputError, match="Two garments are called shirt in the tables; rename one of the files"):
+        plan(replace(SMALL, garments=("a/shirt.obj", "b/shirt.obj")))

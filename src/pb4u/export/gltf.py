@@ -123,6 +123,7 @@ class _Document:
             "accessors": [],
             "bufferViews": [],
         }
+        self._textures: dict[bytes, int] = {}
         self._samplers: list[dict[str, Any]] = []
         self._channels: list[dict[str, Any]] = []
 
@@ -258,15 +259,22 @@ class _Document:
             "baseColorFactor": [*linear, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.85,
         }  # fmt: skip
         if look.image is not None:
-            kind = "image/png" if image_suffix(look.image) == ".png" else "image/jpeg"
-            surface["baseColorTexture"] = {"index": len(self._json.setdefault("textures", []))}
-            self._json["textures"].append({"source": len(self._json.setdefault("images", []))})
-            view = {"buffer": 0, "byteOffset": self._file.tell(), "byteLength": len(look.image)}
-            self._file.write(look.image + b"\0" * (-len(look.image) % 4))
-            self._json["images"].append({"bufferView": len(self._json["bufferViews"]), "mimeType": kind})
-            self._json["bufferViews"].append(view)
+            surface["baseColorTexture"] = {"index": self._texture(look.image)}
         self._json["materials"].append({"name": look.name, "pbrMetallicRoughness": surface, "doubleSided": True})
         return len(self._json["materials"]) - 1
+
+    def _texture(self, image: bytes) -> int:
+        """Texture of an image, which is in the file once for all parts."""
+        if image not in self._textures:
+            kind = "image/png" if image_suffix(image) == ".png" else "image/jpeg"
+            self._textures[image] = len(self._textures)
+            textures, images = (self._json.setdefault(name, []) for name in ("textures", "images"))
+            textures.append({"source": len(images)})
+            images.append({"bufferView": len(self._json["bufferViews"]), "mimeType": kind})
+            view = {"buffer": 0, "byteOffset": self._file.tell(), "byteLength": len(image)}
+            self._json["bufferViews"].append(view)
+            self._file.write(image + b"\0" * (-len(image) % 4))
+        return self._textures[image]
 
     def _vectors(self, values: np.ndarray, bounded: bool = False) -> int:
         values = np.ascontiguousarray(values, dtype="<f4")

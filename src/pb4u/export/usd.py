@@ -158,15 +158,19 @@ def _colour_cloth(stage: Usd.Stage, mesh: UsdGeom.Mesh, header: TrajectoryHeader
         colours = np.array([part.colour for part in parts])[of_polygon].astype(np.float32)
         mesh.CreateDisplayColorAttr(Vt.Vec3fArray.FromNumpy(colours))
         UsdGeom.PrimvarsAPI(mesh).GetPrimvar("displayColor").SetInterpolation(UsdGeom.Tokens.uniform)
+    images: dict[bytes, str] = {}
     for k, part in enumerate(parts if header.appearances is not None else ()):
+        if part.image is not None and part.image not in images:
+            images[part.image] = f"{path.stem}.texture{len(images)}{image_suffix(part.image)}"
+            path.with_name(images[part.image]).write_bytes(part.image)
         subset = UsdGeom.Subset.CreateGeomSubset(
             mesh, f"part_{k}", UsdGeom.Tokens.face, _ints(np.flatnonzero(of_polygon == k)), "materialBind"
         )
-        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(_material(stage, k, part, path))
+        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(_material(stage, k, part, images))
 
 
-def _material(stage: Usd.Stage, number: int, part: ClothPart, path: Path) -> UsdShade.Material:
-    """A preview surface of the part's colour, or of its image, which is written beside the file."""
+def _material(stage: Usd.Stage, number: int, part: ClothPart, images: dict[bytes, str]) -> UsdShade.Material:
+    """A preview surface of the part's colour, or of its image, by the name of its file."""
     from pxr import Gf, Sdf, UsdShade
 
     name = f"/Scene/Materials/part_{number}"
@@ -180,13 +184,11 @@ def _material(stage: Usd.Stage, number: int, part: ClothPart, path: Path) -> Usd
     colour.Set(Gf.Vec3f(*linear))
     material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
     if part.image is not None:
-        file = path.with_name(f"{path.stem}.texture{number}{image_suffix(part.image)}")
-        file.write_bytes(part.image)
         reader, image = (UsdShade.Shader.Define(stage, f"{name}/{each}") for each in ("st", "image"))
         reader.CreateIdAttr("UsdPrimvarReader_float2")
         reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
         image.CreateIdAttr("UsdUVTexture")
-        image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(f"./{file.name}")
+        image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(f"./{images[part.image]}")
         image.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*linear, 1.0))
         for axis in ("wrapS", "wrapT"):
             image.CreateInput(axis, Sdf.ValueTypeNames.Token).Set("repeat")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from pkgutil import resolve_name
@@ -87,9 +88,7 @@ def load_motion(
         raise unread_kind(path, "motion", SUFFIXES)
     if path.suffix.lower() not in SUFFIXES:
         raise unknown_name("motion", name, CLIPS)
-    recording = read_recording(path, person)
-    if recorded_fps is not None:
-        recording = replace(recording, poses=replace(recording.poses, fps=recorded_fps))
+    recording = read_recording(path, person, recorded_fps)
     # The crop comes first: bad frames are often what it is there to leave out.
     recording = without_false_start(recording) if crop is None else recording.cropped(*crop)
     recording = with_leap_notes(without_flips(recording))
@@ -98,24 +97,31 @@ def load_motion(
     return RecordedMotion(on_level_ground(recording), arms_away_degrees)
 
 
-def read_recording(path: Path, person: str | None = None) -> Recording:
+def read_recording(path: Path, person: str | None = None, recorded_fps: float | None = None) -> Recording:
     """A recording as it is in its file.
 
     Args:
         path: the file; its suffix, one of `READERS`, says how it is read.
         person: whom of a file of several people.
+        recorded_fps: frames per second, over what the file tells or is taken to have.
 
     Raises:
-        InputError: it cannot be read, lacks its skeleton, or has no such person.
+        InputError: it cannot be read, lacks its skeleton, tells no rate where its kind does, or has no such person.
     """
     if not path.is_file():
         raise InputError(f'There is no motion file "{path}".')
     reader = resolve_name(READERS[path.suffix.lower()])
     if path.suffix.lower() in _OF_SEVERAL:
-        return cast(Recording, reader(path, person))
-    if person is not None:
+        recording = cast(Recording, reader(path, person))
+    elif person is not None:
         raise InputError(f'{path} holds one person; give it without ":{person}".')
-    return cast(Recording, reader(path))
+    else:
+        recording = cast(Recording, reader(path))
+    if recorded_fps is not None:
+        return replace(recording, poses=replace(recording.poses, fps=recorded_fps))
+    if math.isnan(recording.poses.fps):
+        raise InputError(f"{path} does not tell its frame rate; give it with --recorded-fps.")
+    return recording
 
 
 def read_pickled_motion(path: Path, person: str | None = None) -> Recording:

@@ -54,7 +54,8 @@ def read_amass(path: Path) -> Recording:
     A note reports its `betas` and `gender`: any body may perform the motion.
 
     Args:
-        path: an .npz with `poses` (frames, 72, 156 or 165), `trans` (frames, 3) and a frame rate.
+        path: an .npz with `poses` (frames, 72, 156 or 165), `trans` (frames, 3) and a frame rate; the rate is NaN where
+            it has none.
 
     Raises:
         InputError: a key is missing, a shape is wrong, or it is no .npz of plain arrays.
@@ -66,11 +67,11 @@ def read_amass(path: Path) -> Recording:
     if missing and "faces" in names and {"positions", "vertices"} & names:
         raise InputError(f"{path} is a body that moves, not a recording; give it as --body {path}.")
     rate_key = next((key for key in _RATE_KEYS if key in names), None)
-    if missing or rate_key is None:
-        wanted = missing or [" or ".join(_RATE_KEYS[:2])]
-        raise InputError(f"{path} has no {' and no '.join(wanted)}; it holds {names_text(names)}.")
-    file = read_arrays(path, ("poses", "trans", rate_key))
-    poses, translations, rate = file["poses"], file["trans"], file[rate_key]
+    if missing:
+        raise InputError(f"{path} has no {' and no '.join(missing)}; it holds {names_text(names)}.")
+    file = read_arrays(path, ("poses", "trans", *([] if rate_key is None else [rate_key])))
+    poses, translations = file["poses"], file["trans"]
+    rate = np.array(np.nan) if rate_key is None else file[rate_key]
     betas, gender = (_optional(path, key) for key in ("betas", "gender"))
     if rate.size != 1 or not all(a.dtype.kind in "iuf" for a in (poses, translations, rate)):
         raise InputError(f"{path}: poses, trans and {rate_key} should be numbers, the last a single one.")
@@ -157,7 +158,7 @@ def smpl_recording(
         path: the file, for messages.
         poses: (frames, 72, 156 or 165) rotation vectors of the joints, each from its parent [rad].
         translations: (frames, 3) [m].
-        fps: frames per second.
+        fps: frames per second; NaN where the file does not tell.
         z_up: whether files of this kind have Z up; the other axis is taken where the pelvis plainly stands on it.
 
     Raises:
@@ -170,7 +171,8 @@ def smpl_recording(
         raise InputError(f"{path}: translations have the shape {translations.shape}, not ({len(poses)}, 3).")
     if not len(poses):
         raise InputError(f"{path} holds no frames.")
-    require_rate(fps, path)
+    if not np.isnan(fps):
+        require_rate(fps, path)
     skeleton = nominal_skeleton(_FAMILY_OF_WIDTH[poses.shape[1]])
     numbers = np.concatenate([poses, translations], axis=1, dtype=np.float64)
     local = from_axis_angle(finite_frames(numbers, path)[:, :-3].reshape(len(poses), -1, 3))

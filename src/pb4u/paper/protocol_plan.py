@@ -134,6 +134,8 @@ class _Planning:
             scenes=(request.scenes or protocol.scenes) if protocol.scenes else 0,
         )
         self.motions = [_motion(name, request.recordings) for name in self.protocol.motions]
+        _check_told_apart("garments", {given: WornGarment(given).name for given in self.protocol.garments})
+        _check_told_apart("motions", {str((each.source, each.seed)): each.label for each in self.motions})
         self.models, self.absent = self._present_models()
 
     def plan(self) -> Plan:
@@ -275,6 +277,13 @@ def _check_numbers(request: EvaluationRequest) -> None:
     for name in ("models", "garments", "motions", "bodies", "levels", "propagation_steps"):
         if getattr(request, name) == ():
             raise InputError(f"--{name.replace('_', '-')} names nothing; give at least one, or leave it out.")
+
+
+def _check_told_apart(kind: str, names: dict[str, str]) -> None:
+    """Refuse two different ones that tables would call the same."""
+    twice = next((name for name in names.values() if list(names.values()).count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"Two {kind} are called {twice} in the tables; rename one of the files.")
 
 
 def _level(name: str) -> tuple[str, int]:
