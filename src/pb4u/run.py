@@ -7,7 +7,6 @@ dataset and the studio's form are made of its fields (`options.py`).
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from numbers import Integral, Real
@@ -17,8 +16,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pb4u.errors import InputError, refuse_unknown
 from pb4u.garment.dictionary_entry import DictionaryEntry
-from pb4u.io.atomic_file import replace_file
-from pb4u.io.toml_file import read_tables
 from pb4u.options import Flag, described, require_fitting
 
 if TYPE_CHECKING:
@@ -31,9 +28,6 @@ if TYPE_CHECKING:
     from pb4u.scene.trajectory import Trajectory
 else:
     AnimatedBody = ShapedBody = Garment = Material = Motion = object
-
-FORMAT_VERSION = 1
-"""Version of the scene files that are read and written."""
 
 MOST_GARMENTS = 8
 """Garments of a scene: laying them over each other takes twenty times as long for eight as for two, and with more the
@@ -82,7 +76,7 @@ class WornGarment:
     def __post_init__(self) -> None:
         if not (self.pins is None or isinstance(self.pins, str | Path)):
             indices = list(self.pins) if isinstance(self.pins, Collection) else [None]
-            if not all(isinstance(index, Integral) and not isinstance(index, bool) for index in indices):
+            if not all(map(is_whole, indices)):
                 raise InputError(f"The pins must be a name, a file or a list of vertex indices, not {self.pins!r}.")
             object.__setattr__(self, "pins", tuple(map(int, indices)))
         if not _are_pairs(self.tacks):
@@ -245,7 +239,7 @@ class Run:
             InputError: an entry is unknown, or a value cannot be used.
         """
         refuse_unknown("entry", given, ENTRIES)
-        values = {name: _located(name, value, folder) for name, value in given.items()}
+        values = {name: located(name, value, folder) for name, value in given.items()}
         worn: Sequence[WornGarment] = self.garments
         if "garment" in values:
             named = values.pop("garment")
@@ -272,8 +266,8 @@ class Run:
         made: Trajectory = resolve_name("pb4u.simulation.run_simulation:simulate")(self, path, progress)
         return made
 
-    @classmethod
-    def open(cls, path: str | Path) -> Run:
+    @staticmethod
+    def open(path: str | Path) -> Run:
         """Read a scene file (TOML): `[scene]`, one `[[garments]]` for each garment, `[run]`.
 
         The entries are the fields of `Run` and of `WornGarment`; what is left out has its default.
@@ -284,23 +278,7 @@ class Run:
         Raises:
             InputError: the file is missing or no TOML, an entry is unknown, or a value cannot be used.
         """
-        path = Path(path)
-        if not path.is_file():
-            raise InputError(f"There is no scene file {path}.")
-        tables = read_tables(path, "a scene file")
-        try:
-            refuse_unknown("section", tables, ("format_version", "scene", "garments", "run"))
-            version = tables.get("format_version", FORMAT_VERSION)
-            if version != FORMAT_VERSION:
-                raise InputError(f"The file is of format version {version!r}; this version reads {FORMAT_VERSION}.")
-            listed = tables.get("garments", [{}])
-            if not isinstance(listed, list):
-                raise InputError("Each garment is a section of its own, written [[garments]].")
-            worn = tuple(WornGarment(**_section("[[garments]]", each, "garments", path.parent)) for each in listed)
-            scene, run = (_section(f"[{name}]", tables.get(name, {}), name, path.parent) for name in ("scene", "run"))
-            return cls(worn, **scene, **run)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+        return resolve_name("pb4u.scene_file:read_scene")(Path(path))
 
     def save(self, path: str | Path) -> Path:
         """Write the scene file that `open` reads, with every value that is set.
@@ -311,26 +289,8 @@ class Run:
         Raises:
             InputError: something is a loaded object, which has no name to be written.
         """
-        import tomli_w
-
-        path = Path(path)
-        scene = {"format_version": FORMAT_VERSION, "scene": _written(self, "scene", path.parent)}
-        worn = [_written(each, "garments", path.parent) for each in self.garments]
-        # One by one: the library writes short tables of a list on a line each, where nobody finds room for an entry.
-        sections = [
-            tomli_w.dumps(scene),
-            *("[[garments]]\n" + tomli_w.dumps(each) for each in worn),
-            tomli_w.dumps({"run": _written(self, "run", path.parent)}),
-        ]
-        replace_file(path, (_HEADING + "\n".join(sections)).encode())
-        return path
-
-
-_HEADING = """\
-# A scene of pb4u: run it with `pb4u simulate` and the name of this file.
-# Garments stand inner first. A value with a dot or a slash is a file, relative to this one; any other is a name.
-
-"""
+        resolve_name("pb4u.scene_file:write_scene")(self, Path(path))
+        return Path(path)
 
 
 def entries(section: str) -> tuple[str, ...]:
@@ -348,9 +308,32 @@ def _files(record: type) -> tuple[str, ...]:
     return tuple(name for name, entry in described(record).items() if entry.flag.is_file)
 
 
+def names_file(name: str, value: object) -> bool:
+    """Whether the value of an entry names a file: a path, or a text with a dot or a slash.
+
+    Args:
+        name: of the entry; most never name one.
+        value: of it.
+    """
+    looks_so = isinstance(value, str) and (bool(Path(value).suffix) or "/" in value or "\\" in value)
+    return name in (*_files(Run), *_files(WornGarment)) and (looks_so or isinstance(value, Path))
+
+
+def located(name: str, value: Any, folder: Path | None) -> Any:
+    """The value of an entry as it is read, or each of a list of them, files found from a folder.
+
+    Args:
+        name: of the entry.
+        value: of it; what is a `Path` already stays as it is.
+        folder: from which relative files are found; None leaves them as they are.
+    """
+    if isinstance(value, list):
+        return [located(name, each, folder) for each in value]
+    return folder / value if folder is not None and isinstance(value, str) and names_file(name, value) else value
+
+
 ENTRIES = (*entries("garments"), *entries("scene"), *entries("run"))
 """Every entry of a scene file; no two sections have one of the same name."""
-
 
 _OF_ARRAYS = {
     "garment": "pb4u.Garment(name, vertices, faces, material)",
@@ -377,19 +360,24 @@ def _checked_shape(shape: Any) -> dict[str, float]:
 
 
 def _checked_crop(crop: Any) -> tuple[int, int]:
-    if not isinstance(crop, list | tuple) or len(crop) != 2 or not all(_is_whole(frame) for frame in crop):
+    if not isinstance(crop, list | tuple) or len(crop) != 2 or not all(is_whole(frame) for frame in crop):
         raise InputError(f"A crop is two frames, the first and the one after the last, not {crop!r}.")
     return crop[0], crop[1]
 
 
-def _is_whole(value: object) -> bool:
+def is_whole(value: object) -> bool:
+    """Whether a value is a whole number, be it Python's or numpy's; a switch is none.
+
+    Args:
+        value: anything.
+    """
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def _are_pairs(value: object) -> bool:
     """Whether a value is a list of pairs of whole numbers."""
     return isinstance(value, list | tuple) and all(
-        isinstance(pair, list | tuple) and len(pair) == 2 and all(map(_is_whole, pair)) for pair in value
+        isinstance(pair, list | tuple) and len(pair) == 2 and all(map(is_whole, pair)) for pair in value
     )
 
 
@@ -399,61 +387,11 @@ def _is_same(garment: object, other: object) -> bool:
     return garment is other
 
 
-def _section(title: str, table: Any, section: str, folder: Path) -> dict[str, Any]:
-    """The entries of a section, its files found from the `folder` of the scene file."""
-    if not isinstance(table, dict):
-        raise InputError(f"The section {title} must hold entries such as name = value, not {table!r}.")
-    refuse_unknown("entry", table, entries(section), title)
-    return {name: _located(name, value, folder) for name, value in table.items()}
-
-
-def _located(name: str, value: Any, folder: Path | None) -> Any:
-    if isinstance(value, list):
-        return [_located(name, each, folder) for each in value]
-    names_file = name in (*_files(Run), *_files(WornGarment)) and isinstance(value, str) and _is_file(value)
-    return folder / value if names_file and folder is not None else value
-
-
 def _one_each(name: str, value: Any, count: int) -> Sequence[Any]:
     """The value for each of `count` garments; a list of whole numbers is one choice of pins, one of pairs of tacks."""
-    is_indices = name == "pins" and isinstance(value, list | tuple) and all(map(_is_whole, value))
+    is_indices = name == "pins" and isinstance(value, list | tuple) and all(map(is_whole, value))
     if not isinstance(value, list | tuple) or is_indices or (name == "tacks" and _are_pairs(value)):
         return [value] * count
     if len(value) != count:
         raise InputError(f"{name} has {len(value)} values for {count} garments; give one for all, or one each.")
     return value
-
-
-def _is_file(value: str) -> bool:
-    return bool(Path(value).suffix) or "/" in value or "\\" in value
-
-
-def _written(record: Run | WornGarment, section: str, folder: Path) -> dict[str, Any]:
-    """What is set of a section, as TOML holds it."""
-    values = {name: getattr(record, name) for name in entries(section)}
-    return {
-        name: _plain(name, value, folder)
-        for name, value in values.items()
-        if value is not None and value != {} and (name, value) != ("tacks", ())
-    }
-
-
-def _plain(name: str, value: Any, folder: Path) -> Any:
-    if name in (*_files(Run), *_files(WornGarment)) and isinstance(value, str | Path) and (
-        isinstance(value, Path) or _is_file(value)
-    ):  # fmt: skip
-        file = value if os.path.isabs(value) else os.path.relpath(value, folder)
-        written = Path(file).as_posix()
-        return written if _is_file(written) else f"./{written}"
-    if isinstance(value, Mapping):
-        return {key: _plain(key, entry, folder) for key, entry in value.items()}
-    if isinstance(value, tuple):
-        return [_plain("", entry, folder) for entry in value]
-    if isinstance(value, str | bool):
-        return value
-    if isinstance(value, Real):
-        return int(value) if isinstance(value, Integral) else float(value)
-    raise InputError(
-        f"The {name} {getattr(value, 'name', value)} is a loaded object, which a scene file cannot hold; give it by "
-        "name or file."
-    )

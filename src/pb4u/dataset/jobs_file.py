@@ -13,14 +13,14 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from pb4u.errors import InputError, refuse_unknown
+from pb4u.errors import InputError
 from pb4u.io.toml_file import read_tables
-from pb4u.run import ENTRIES, Run
+from pb4u.run import ENTRIES, Run, is_whole
+from pb4u.scene_file import require_entries, require_format
 
 MOST_CLIPS = 100_000
 """Clips of one jobs file unless more are allowed: ten times the usual dataset, and what a slip of the pen exceeds."""
 FORMAT_VERSION = 1
-_SECTIONS = ("format_version", "fixed", "product", "clips")
 _SCENE = "scene"
 _KNOWN = (_SCENE, *ENTRIES)
 _TOLD = 4
@@ -81,17 +81,14 @@ def _run(number: int, entries: Mapping[str, Any], folder: Path, scenes: dict[Pat
 
 
 def _described_clips(tables: dict[str, Any]) -> tuple[int, Iterator[dict[str, Any]]]:
-    refuse_unknown("section", tables, _SECTIONS)
-    version = tables.get("format_version", FORMAT_VERSION)
-    if version != FORMAT_VERSION:
-        raise InputError(f"it is of format version {version!r}; this version reads {FORMAT_VERSION}.")
-    fixed = _table("[fixed]", tables.get("fixed", {}))
-    varied = _table("[product]", tables.get("product", {}))
+    require_format(tables, ("fixed", "product", "clips"), FORMAT_VERSION)
+    fixed = require_entries("[fixed]", tables.get("fixed", {}), _KNOWN)
+    varied = require_entries("[product]", tables.get("product", {}), _KNOWN)
     lists = {name: _choices(name, value) for name, value in varied.items()}
     listed = tables.get("clips", [])
     if not isinstance(listed, list):
         raise InputError("each clip is a section of its own, written [[clips]].")
-    singles = [_table("[[clips]]", each) for each in listed]
+    singles = [require_entries("[[clips]]", each, _KNOWN) for each in listed]
     for name in lists:
         if name in fixed:
             raise InputError(f"{name} stands in [fixed] and in [product]; leave it in one.")
@@ -107,23 +104,12 @@ def _described_clips(tables: dict[str, Any]) -> tuple[int, Iterator[dict[str, An
     return products + len(singles), clips()
 
 
-def _table(section: str, table: Any) -> dict[str, Any]:
-    if not isinstance(table, dict):
-        raise InputError(f"the section {section} must hold entries such as name = value, not {table!r}.")
-    refuse_unknown("entry", table, _KNOWN, section)
-    return table
-
-
 def _choices(name: str, value: Any) -> Sequence[Any]:
     """The values of an entry of the product; seeds may be a range."""
     if name == "seed" and isinstance(value, dict):
-        if set(value) != {"first", "count"} or not all(_is_whole(each) for each in value.values()):
+        if set(value) != {"first", "count"} or not all(is_whole(each) for each in value.values()):
             raise InputError(f"seeds are a list, or {{ first = 0, count = 10 }} in whole numbers, not {value!r}.")
         return range(value["first"], value["first"] + value["count"])
     if not isinstance(value, list):
         raise InputError(f"{name} in [product] must be a list of values; a single one belongs in [fixed].")
     return value
-
-
-def _is_whole(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)

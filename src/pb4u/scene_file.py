@@ -1,0 +1,142 @@
+"""Scene files: a `Run` as TOML, with `[scene]`, one `[[garments]]` for each garment, and `[run]`.
+
+The entries are the fields of `Run` and of `WornGarment`; what is left out has its default.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Mapping
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any
+
+from pb4u.errors import InputError, refuse_unknown
+from pb4u.io.atomic_file import replace_file
+from pb4u.io.toml_file import read_tables
+from pb4u.run import Run, WornGarment, entries, located, names_file
+
+FORMAT_VERSION = 1
+"""Version of the scene files that are read and written."""
+
+_HEADING = """\
+# A scene of pb4u: run it with `pb4u simulate` and the name of this file.
+# Garments stand inner first. A value with a dot or a slash is a file, relative to this one; any other is a name.
+
+"""
+
+
+def read_scene(path: Path) -> Run:
+    """The run of a scene file.
+
+    Args:
+        path: the file; paths in it are relative to it.
+
+    Raises:
+        InputError: the file is missing or no TOML, an entry is unknown, or a value cannot be used.
+    """
+    if not path.is_file():
+        raise InputError(f"There is no scene file {path}.")
+    tables = read_tables(path, "a scene file")
+    try:
+        require_format(tables, ("scene", "garments", "run"), FORMAT_VERSION)
+        listed = tables.get("garments", [{}])
+        if not isinstance(listed, list):
+            raise InputError("Each garment is a section of its own, written [[garments]].")
+        worn = tuple(WornGarment(**_section("[[garments]]", each, "garments", path.parent)) for each in listed)
+        scene, run = (_section(f"[{name}]", tables.get(name, {}), name, path.parent) for name in ("scene", "run"))
+        return Run(worn, **scene, **run)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def write_scene(run: Run, path: Path) -> None:
+    """Write the scene file of a run, with every value that is set.
+
+    Args:
+        run: what it describes.
+        path: the file; paths that are relative to the current folder are written relative to it.
+
+    Raises:
+        InputError: something is a loaded object, which has no name to be written.
+    """
+    import tomli_w
+
+    scene = {"format_version": FORMAT_VERSION, "scene": _written(run, "scene", path.parent)}
+    worn = [_written(each, "garments", path.parent) for each in run.garments]
+    # One by one: the library writes short tables of a list on a line each, where nobody finds room for an entry.
+    sections = [
+        tomli_w.dumps(scene),
+        *("[[garments]]\n" + tomli_w.dumps(each) for each in worn),
+        tomli_w.dumps({"run": _written(run, "run", path.parent)}),
+    ]
+    replace_file(path, (_HEADING + "\n".join(sections)).encode())
+
+
+def require_format(tables: Mapping[str, Any], sections: Collection[str], version: int) -> None:
+    """Refuse a file with other sections, or of another version of its format.
+
+    Args:
+        tables: all of the file.
+        sections: that it may have, besides `format_version`.
+        version: that is read, and that a file has which says none.
+
+    Raises:
+        InputError: a section is unknown, or the version is another.
+    """
+    refuse_unknown("section", tables, ("format_version", *sections))
+    given = tables.get("format_version", version)
+    if given != version:
+        raise InputError(f"The file is of format version {given!r}; this version reads {version}.")
+
+
+def require_entries(title: str, table: Any, known: Collection[str]) -> dict[str, Any]:
+    """The entries of a section.
+
+    Args:
+        title: of the section, such as "[scene]".
+        table: its value.
+        known: entries that it may have.
+
+    Raises:
+        InputError: it is no table, or an entry is unknown.
+    """
+    if not isinstance(table, dict):
+        raise InputError(f"The section {title} must hold entries such as name = value, not {table!r}.")
+    refuse_unknown("entry", table, known, title)
+    return table
+
+
+def _section(title: str, table: Any, section: str, folder: Path) -> dict[str, Any]:
+    """The entries of a section, its files found from the `folder` of the scene file."""
+    found = require_entries(title, table, entries(section))
+    return {name: located(name, value, folder) for name, value in found.items()}
+
+
+def _written(record: Run | WornGarment, section: str, folder: Path) -> dict[str, Any]:
+    """What is set of a section, as TOML holds it."""
+    values = {name: getattr(record, name) for name in entries(section)}
+    return {
+        name: _plain(name, value, folder)
+        for name, value in values.items()
+        if value is not None and value != {} and (name, value) != ("tacks", ())
+    }
+
+
+def _plain(name: str, value: Any, folder: Path) -> Any:
+    if names_file(name, value):
+        file = value if os.path.isabs(value) else os.path.relpath(value, folder)
+        written = Path(file).as_posix()
+        return written if names_file(name, written) else f"./{written}"
+    if isinstance(value, Mapping):
+        return {key: _plain(key, entry, folder) for key, entry in value.items()}
+    if isinstance(value, tuple):
+        return [_plain("", entry, folder) for entry in value]
+    if isinstance(value, str | bool):
+        return value
+    if isinstance(value, Real):
+        return int(value) if isinstance(value, Integral) else float(value)
+    raise InputError(
+        f"The {name} {getattr(value, 'name', value)} is a loaded object, which a scene file cannot hold; give it by "
+        "name or file."
+    )
