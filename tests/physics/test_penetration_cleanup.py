@@ -12,7 +12,8 @@ from test_pierced_edges import pierced
 
 from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.geometry.triangle_mesh import area_weighted_normals
-from pb4u.physics.contact.penetration_cleanup import FaceClearance, _cut_back
+from pb4u.physics.contact.penetration_cleanup import FaceClearance
+from pb4u.physics.contact.penetration_loops import cut_back
 from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.scene.state import State
 from pb4u.simulation.timeline import Timeline
@@ -121,7 +122,7 @@ def test_what_a_cut_lift_would_tear_in_turn_is_cut_as_well() -> None:
     lifted, edges = before * 20.0, np.stack([np.arange(13), np.arange(1, 14)], axis=1)
     shares = np.ones(14)
     shares[0] = 0.0
-    x = _cut_back(before, lifted, shares, edges, np.full(13, 1.8))
+    x = cut_back(before, lifted, shares, edges, np.full(13, 1.8))
     assert float(np.linalg.norm(x[1:] - x[:-1], axis=1).max()) <= 1.8 + 1e-9
     assert np.array_equal(x[0], before[0])
 

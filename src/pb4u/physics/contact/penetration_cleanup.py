@@ -17,11 +17,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.collision.jit import as_float64, compiled
+from pb4u.collision.jit import as_float64
 from pb4u.collision.nearest_points import Found
 from pb4u.collision.nearest_surface import PosedSurface
 from pb4u.physics.contact.contact_set import MOTION_REACH, ContactPlanes, nearest_planes
 from pb4u.physics.contact.obstacle import Obstacle
+from pb4u.physics.contact.penetration_loops import (
+    add_lifts,
+    carry_found,
+    cut_back,
+    may_be_near,
+    move_vertices,
+    vertices_within,
+)
 from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.contact.skin_cover import SKIN_OVER_CLOTH, SkinCover
 from pb4u.scene.colliders import ColliderPose
@@ -32,15 +40,9 @@ _DEEPER = 1e-3
 """Depth [m] from which on a move counts as taking a vertex into the body: less is not seen, and undoing it bares
 skin."""
 
-_HALVINGS = 8
-"""Times that a move which would strain cloth too far is shortened before it is given up there."""
-
 _ROUNDS = 8
 """Times that vertices which a move takes into the body are put back before the move is given up: up to thrice in a
 squat."""
-
-_ROUNDING = 1.0 + 1e-9
-"""Factor on a squared length within which it is the same."""
 
 _SMALLEST_RADIUS, _LARGEST_PUSH = 0.03, 5e-3
 """Smallest radius [m] of the body where cloth rests on it, and largest displacement [m] of a vertex in one pass."""
@@ -125,7 +127,7 @@ class FaceClearance:
             elements = [self._lift_middles(lift, x, part) for part in elements]
             for place, (world, places) in enumerate(zip(worlds, skin, strict=False)):
                 skin[place] = self._cover(lift, garments, x, moved, world, places)
-            if not _move(x, *lift, movable, _LARGEST_PUSH):
+            if not move_vertices(x, *lift, movable, _LARGEST_PUSH):
                 break
         return x
 
@@ -148,7 +150,7 @@ class FaceClearance:
         held = self._taken_deeper(garments, pose, stood, lifted, planes)
         obstacle = Obstacle.at(garments, pose, before) if cloth is not None and cloth.feels_bodies else None
         for _ in range(_ROUNDS):
-            x = _cut_back(stood, lifted, np.where(held, 0.0, 1.0), edges, longest)
+            x = cut_back(stood, lifted, np.where(held, 0.0, 1.0), edges, longest)
             wanted, firm = torch.from_numpy(x).to(before), torch.from_numpy(held)
             # What lifted cloth pushes aside goes into the body as well: what is held back stays where it is.
             reached = wanted
@@ -198,7 +200,7 @@ class FaceClearance:
         for corners in (vertices, garments.edges.numpy(), garments.faces.numpy()):
             sag = lengths**2 / (32.0 * _SMALLEST_RADIUS) if corners.shape[1] > 1 else 0.0
             wanted = np.where(of_world, self.clearance + sag, -np.inf)
-            kept = corners[_may_be_near(x, corners, distances, wanted)]
+            kept = corners[may_be_near(x, corners, distances, wanted)]
             # What is nearest to a corner bounds what is nearest to the middle.
             near = Found.nothing(len(kept), points[kept[:, 0]])
             yield _Middles(surface, len(pose.colliders.world_faces[world]), kept, wanted[kept[:, 0]], near)
@@ -214,7 +216,7 @@ class FaceClearance:
         low = skin & (found.distances < middles.wanted)
         kept = middles.chosen(low)
         shares = np.full(kept.corners.shape, 1.0 / kept.corners.shape[1])
-        _add(*lift, kept.corners, shares, kept.wanted - kept.found.distances, kept.found.normals)
+        add_lifts(*lift, kept.corners, shares, kept.wanted - kept.found.distances, kept.found.normals)
         return kept
 
     def _cover(
@@ -232,14 +234,14 @@ class FaceClearance:
         went = (moved[faces + rows.start] > 0.0).any(axis=1)
         if not skin.new:
             # Where the nearest cloth went bounds what is nearest now.
-            _carry(found, went, x[rows], faces)
+            carry_found(found, went, x[rows], faces)
             cloth.update_closest(skin.places, found)
         cloth.update_if_nearer(skin.places, found, None if skin.new else went)
         near = np.abs(found.distances) < SKIN_OVER_CLOTH
         cover = SkinCover.of(found, skin.places, skin.normals, cloth)
         low = cover.belongs & near & (cover.heights < self.clearance)
         heights = self.clearance - cover.heights[low]
-        _add(*lift, faces[found.triangle[low]] + rows.start, found.barycentric[low], heights, skin.normals[low])
+        add_lifts(*lift, faces[found.triangle[low]] + rows.start, found.barycentric[low], heights, skin.normals[low])
         if near.all():
             return skin._replace(new=False)
         return _Skin(skin.places[near], skin.normals[near], found.among(near), new=False)
@@ -306,156 +308,5 @@ def _skin(surface: PosedSurface | None, x: np.ndarray, own: slice) -> _Skin:
     if surface is None or not len(cloth):
         return _Skin(np.zeros((0, 3)), np.zeros((0, 3)), Found.nothing(0))
     low, high = cloth.min(axis=0) - SKIN_OVER_CLOTH, cloth.max(axis=0) + SKIN_OVER_CLOTH
-    places, normals = _within(as_float64(surface.vertices), surface.surface.region_faces, low, high)
+    places, normals = vertices_within(as_float64(surface.vertices), surface.surface.region_faces, low, high)
     return _Skin(places, normals, Found.nothing(len(places), places + SKIN_OVER_CLOTH * normals))
-
-
-@compiled
-def _within(
-    vertices: np.ndarray, faces: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (places, 3) [m] of the `faces` (faces, 3) in a box from `low` to `high` (3,) [m], and their normals.
-
-    Unit normals (places, 3), weighted by area.
-    """
-    inside = np.empty(len(vertices), dtype=np.bool_)
-    for row in range(len(vertices)):
-        inside[row] = True
-        for axis in range(3):
-            inside[row] &= low[axis] <= vertices[row, axis] <= high[axis]
-    sums, used = np.zeros(vertices.shape), np.zeros(len(vertices), dtype=np.bool_)
-    for face in range(len(faces)):
-        a, b, c = faces[face]
-        if not (inside[a] or inside[b] or inside[c]):
-            continue
-        for axis in range(3):
-            i, j = (axis + 1) % 3, (axis + 2) % 3
-            across = (vertices[b, i] - vertices[a, i]) * (vertices[c, j] - vertices[a, j])
-            across -= (vertices[b, j] - vertices[a, j]) * (vertices[c, i] - vertices[a, i])
-            sums[a, axis] += across
-            sums[b, axis] += across
-            sums[c, axis] += across
-        used[a] = used[b] = used[c] = True
-    rows = np.flatnonzero(inside & used)
-    places, normals = vertices[rows], sums[rows]
-    for row in range(len(rows)):
-        length = np.sqrt(normals[row, 0] ** 2 + normals[row, 1] ** 2 + normals[row, 2] ** 2)
-        for axis in range(3):
-            normals[row, axis] /= max(length, 1e-30)
-    return places, normals
-
-
-@compiled
-def _may_be_near(x: np.ndarray, corners: np.ndarray, distances: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Whether the middle of each element (elements, corners) may be nearer to the body than `wanted` of its first one.
-
-    `distances` (vertices,) [m] are those of the vertices; a distance changes by no more than the way.
-    """
-    near = np.empty(len(corners), dtype=np.bool_)
-    count = corners.shape[1]
-    for row in range(len(corners)):
-        far = -np.inf
-        for k in range(count):
-            squared = 0.0
-            for axis in range(3):
-                middle = 0.0
-                for other in range(count):
-                    middle += x[corners[row, other], axis]
-                squared += (x[corners[row, k], axis] - middle / count) ** 2
-            far = max(far, distances[corners[row, k]] - np.sqrt(squared))
-        near[row] = far < wanted[corners[row, 0]]
-    return near
-
-
-@compiled
-def _carry(found: Found, went: np.ndarray, x: np.ndarray, faces: np.ndarray) -> None:
-    """Forget what was `found` of the `faces` (faces, 3) that `went` (faces,); keep where it lies on them now.
-
-    `x` (vertices, 3) [m] are their vertices.
-    """
-    at, triangle, barycentric, positions = found.at, found.triangle, found.barycentric, found.positions
-    for row in range(len(at)):
-        if not went[triangle[row]]:
-            continue
-        a, b, c = faces[triangle[row]]
-        for axis in range(3):
-            at[row, axis] = np.nan
-            positions[row, axis] = (
-                barycentric[row, 0] * x[a, axis] + barycentric[row, 1] * x[b, axis] + barycentric[row, 2] * x[c, axis]
-            )
-
-
-@compiled
-def _add(
-    direction: np.ndarray,
-    size: np.ndarray,
-    corners: np.ndarray,
-    shares: np.ndarray,
-    heights: np.ndarray,
-    normals: np.ndarray,
-) -> None:
-    """Lift points of the cloth by `heights` (points,) [m] along unit `normals` (points, 3).
-
-    Each by the least displacement of its `corners` (points, corners), whose positions sum to it with `shares` (points,
-    corners). What is added to is that of `_Lift`.
-    """
-    for row in range(len(corners)):
-        squared = 0.0
-        for k in range(corners.shape[1]):
-            squared += shares[row, k] ** 2
-        for k in range(corners.shape[1]):
-            vertex, move = corners[row, k], heights[row] * shares[row, k] / squared
-            size[vertex] = max(size[vertex], move)
-            for axis in range(3):
-                direction[vertex, axis] += move * normals[row, axis]
-
-
-@compiled
-def _cut_back(
-    before: np.ndarray, lifted: np.ndarray, shares: np.ndarray, edges: np.ndarray, longest: np.ndarray
-) -> np.ndarray:
-    """Positions (vertices, 3) [m] some shares of the way from `before` to `lifted`; `shares` (vertices,) are changed.
-
-    Ends of edges (edges, 2) that would be stretched beyond `longest` (edges,) [m], and beyond what they were, go half
-    as far, and so on; in the end they stay where they were, and so do those that this would tear, until none is.
-    """
-    x, torn = np.empty(before.shape), np.empty(len(before), dtype=np.bool_)
-    # Each round after the halvings stops a vertex at least.
-    for halving in range(_HALVINGS + len(before)):
-        for row in range(len(x)):
-            torn[row] = False
-            for axis in range(3):
-                x[row, axis] = before[row, axis] + shares[row] * (lifted[row, axis] - before[row, axis])
-        for edge in range(len(edges)):
-            a, b = edges[edge]
-            if shares[a] == 0.0 and shares[b] == 0.0:
-                continue
-            was, now = 0.0, 0.0
-            for axis in range(3):
-                was += (before[a, axis] - before[b, axis]) ** 2
-                now += (x[a, axis] - x[b, axis]) ** 2
-            if now > max(longest[edge] ** 2, was * _ROUNDING):
-                torn[a] = torn[b] = True
-        if not torn.any():
-            break
-        for row in range(len(x)):
-            if torn[row]:
-                shares[row] = 0.5 * shares[row] if halving < _HALVINGS - 1 else 0.0
-    return x
-
-
-@compiled
-def _move(x: np.ndarray, direction: np.ndarray, size: np.ndarray, movable: np.ndarray, largest: float) -> bool:
-    """Move vertices `x` (vertices, 3) [m] that are `movable` (vertices,) by a `_Lift`, at most by `largest` [m].
-
-    Returns whether any moved.
-    """
-    moved = False
-    for row in range(len(x)):
-        length = np.sqrt(direction[row, 0] ** 2 + direction[row, 1] ** 2 + direction[row, 2] ** 2)
-        if not movable[row] or length == 0.0:
-            continue
-        for axis in range(3):
-            x[row, axis] += min(size[row], largest) * direction[row, axis] / length
-        moved = moved or size[row] > 0.0
-    return moved
