@@ -29,8 +29,9 @@ from pb4u.garment.dressing import SkinnedPlacement
 from pb4u.garment.library import build_garment
 from pb4u.measures.metrics import ENERGIES, measure, strain_percentile
 from pb4u.motion.library import load_motion
-from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.newton_solver import Iteration, Solver
+from pb4u.physics.step_potential import StepPotential
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.colliders import pack_colliders
 from pb4u.scene.packed import PackedGarments, pack

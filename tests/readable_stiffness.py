@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pb4u.physics.incremental_potential import StepPotential
+from pb4u.physics.step_potential import StepPotential
 from pb4u.physics.terms.bending import dihedral_angles
 from pb4u.physics.terms.collision import REFERENCE_AREA, Collision
 from pb4u.physics.terms.friction import Friction

@@ -23,7 +23,8 @@ from tests.physics.shapes import (
 from tests.readable_stiffness import readable_stiffness
 
 from pb4u.measures.released_energies import released_potential
-from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
+from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.step_potential import StepPotential
 from pb4u.physics.terms.collision import REFERENCE_AREA
 from pb4u.physics.terms.energy_term import EnergyTerm
 from pb4u.physics.terms.friction import Friction

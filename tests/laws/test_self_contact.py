@@ -17,9 +17,10 @@ from pb4u.errors import InputError
 from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.garment.garment import Garment
 from pb4u.physics.contact.self_contact import CollisionFree
-from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import substep_count
 from pb4u.physics.solver.newton_solver import Solver
+from pb4u.physics.step_potential import StepPotential
 from pb4u.physics.terms.cloth_contact import ClothContact, ClothFriction
 from pb4u.physics.terms.energy_term import EnergyTerm
 from pb4u.physics.terms.pair_stiffness import PairStiffness, add_product

@@ -10,7 +10,8 @@ import trimesh
 
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
-from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
+from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.step_potential import StepPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.colliders import ColliderFrame, pack_colliders
 from pb4u.scene.packed import PackedGarments, pack

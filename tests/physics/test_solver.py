@@ -12,14 +12,15 @@ import torch
 from tests.physics.shapes import DT, at_rest, capsule, collider, nobody, packed, potential_of, sheet, time_step, tube
 from tests.readable_stiffness import readable_stiffness
 
-import pb4u.physics.incremental_potential as potential_module
 import pb4u.physics.solver.newton_solver as solver_module
+import pb4u.physics.step_potential as potential_module
 from pb4u.errors import InputError
-from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import implicit_steps, substep_count
 from pb4u.physics.solver.linear_solver import conjugate_gradient
 from pb4u.physics.solver.newton_solver import Iteration, Solver
 from pb4u.physics.solver.preconditioner import PRECISION, PatchBasis, TwoLevelPreconditioner
+from pb4u.physics.step_potential import StepPotential
 from pb4u.physics.terms.bending import Bending
 from pb4u.physics.terms.gravity import Gravity
 from pb4u.physics.terms.inertia import Inertia

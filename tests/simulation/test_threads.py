@@ -15,7 +15,7 @@ from ball_scene import ball_scene
 import pb4u
 import pb4u.threads
 from pb4u.collision import surface_tree
-from pb4u.physics import incremental_potential
+from pb4u.physics import step_potential
 from pb4u.threads import prefetch
 
 THREADS = 2
@@ -135,7 +135,7 @@ def test_a_run_that_is_given_up_makes_no_further_item(monkeypatch: pytest.Monkey
 
 def test_a_run_gives_the_same_frames_on_one_thread_and_on_two(monkeypatch: pytest.MonkeyPatch) -> None:
     frames = []
-    for module in (surface_tree, incremental_potential):
+    for module in (surface_tree, step_potential):
         monkeypatch.setattr(module, "_FEW", 0)
     for count in (1, 2):
         use_threads(count, monkeypatch)

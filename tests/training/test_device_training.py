@@ -15,7 +15,7 @@ from pb4u.collision.rooms import Rooms
 from pb4u.errors import InputError
 from pb4u.paper.network_presets import pb4u_small_conjugate
 from pb4u.physics.contact.contact_set import ContactPlanes
-from pb4u.physics.incremental_potential import Energies
+from pb4u.physics.step_potential import Energies
 from pb4u.training.budget import Budget
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.distribution import Workers

@@ -10,7 +10,7 @@ from tests.training.ball_data import TINY, ball_data
 from tests.training.listening import Listener, made
 
 from pb4u.errors import InputError
-from pb4u.physics.incremental_potential import Energies
+from pb4u.physics.step_potential import Energies
 from pb4u.physics.terms.collision import REFERENCE_AREA
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments

@@ -16,7 +16,7 @@ from torch import Tensor
 from pb4u.errors import InputError
 from pb4u.network.graph.features import ADVANCE, DESCENT, FeatureLayout
 from pb4u.paper.network_presets import pb4u_small
-from pb4u.physics.incremental_potential import Energies
+from pb4u.physics.step_potential import Energies
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import load_checkpoint

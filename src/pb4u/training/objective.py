@@ -8,7 +8,8 @@ from torch import Tensor
 
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import PreparedGarments
-from pb4u.physics.incremental_potential import Energies, IncrementalPotential
+from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.step_potential import Energies
 from pb4u.physics.terms.collision import Collision
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pb4u.physics.contact.contact_set import UNMOVED, ContactPlanes, nearest_planes
-from pb4u.physics.incremental_potential import StepPotential
+from pb4u.physics.step_potential import StepPotential
 
 REACH = 0.03
 """Distance [m] from the body within which the motion of the body concerns a vertex."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pb4u.physics.incremental_potential import StepPotential
+from pb4u.physics.step_potential import StepPotential
 from pb4u.scene.packed import PackedGarments
 
 

@@ -18,10 +18,10 @@ import torch
 from torch import Tensor
 
 from pb4u.physics.contact.self_contact import ClothPairs
-from pb4u.physics.incremental_potential import Energies, StepPotential
 from pb4u.physics.solver.contact_tracking import TrackedContact, moved_off_the_body
 from pb4u.physics.solver.linear_solver import LinearSolution, conjugate_gradient
 from pb4u.physics.solver.preconditioner import PRECISION, AgeingPreconditioner, PatchBasis
+from pb4u.physics.step_potential import Energies, StepPotential
 from pb4u.physics.terms.pair_stiffness import PairStiffness
 from pb4u.physics.terms.stiffness_matrix import StiffnessPattern
 from pb4u.physics.time_step import DivergedError

@@ -1,0 +1,342 @@
+"""The sum of all energies over one time step as a function of where it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.collision.jit import as_float64
+from pb4u.physics.contact.contact_set import ContactPlanes, ContactSet
+from pb4u.physics.contact.obstacle import Obstacle
+from pb4u.physics.contact.self_contact import ClothPairs
+from pb4u.physics.terms.energy_term import CompiledTerm, Tangent
+from pb4u.physics.terms.pair_stiffness import PairStiffness
+from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
+from pb4u.physics.time_step import TimeStep
+from pb4u.scene.packed import PackedGarments
+from pb4u.threads import parallel_map
+
+if TYPE_CHECKING:
+    from pb4u.physics.incremental_potential import IncrementalPotential
+
+Part = TypeVar("Part")
+Result = TypeVar("Result")
+
+_FEW = 4096
+"""Vertices up to which one thread evaluates all terms: 2 ms, beside which it takes long to begin another."""
+
+
+@dataclass(frozen=True, eq=False)
+class Energies:
+    """Energies of each garment of a pack [J].
+
+    Args:
+        terms: (garments,) energies [J] by name of the term.
+    """
+
+    terms: Mapping[str, Tensor]
+
+    @property
+    def per_garment(self) -> Tensor:
+        """Sum of all terms, (garments,) [J]."""
+        return torch.stack(list(self.terms.values())).sum(0)
+
+    def per_world(self, garments: PackedGarments) -> Tensor:
+        """Sums (worlds,) [J] of all terms over the garments of each world.
+
+        Args:
+            garments: the pack that the energies are of.
+        """
+        return garments.by_world(self.per_garment)
+
+    @property
+    def total(self) -> Tensor:
+        """Sum over terms and garments, a scalar [J]."""
+        return self.per_garment.sum()
+
+    def floats(self) -> dict[str, float]:
+        """Energies [J] of all garments together by name of the term, with their `total`."""
+        values = {name: float(value.sum()) for name, value in self.terms.items()}
+        return {**values, "total": sum(values.values())}
+
+
+@dataclass(frozen=True, eq=False)
+class StepPotential:
+    """The potential of one time step as a function of the next positions `x` (vertices, 3) [m].
+
+    Unless contacts were fixed by `with_contact_at`, every evaluation looks up the nearest surface at its own `x`, so
+    its value and gradient are exact. With fixed contacts an evaluation makes no query and sees the body's tangent
+    planes.
+
+    Args:
+        potential: the energy terms, and the search for the body's surface.
+        step: garments, bodies and state at frame t that the terms are evaluated for.
+        contacts: contacts at frame t, and those at frame t+1 where they are fixed.
+    """
+
+    potential: IncrementalPotential
+    step: TimeStep
+    contacts: ContactSet
+
+    def contact_at(self, x: Tensor) -> ContactPlanes | None:
+        """Planes of the bodies at t+1 nearest to each vertex; None without a body.
+
+        Args:
+            x: (vertices, 3) [m].
+        """
+        bodies = self.step.bodies
+        return None if bodies is None else self.potential.search(bodies.following, self.step.garments, x.detach())
+
+    def with_contact_at(self, x: Tensor) -> StepPotential:
+        """This potential with the body near `x` (vertices, 3) [m] frozen to its tangent planes.
+
+        Args:
+            x: (vertices, 3) [m].
+        """
+        return self.with_contact(self.contact_at(x))
+
+    def with_contact(self, contact: ContactPlanes | None, opposite: ContactPlanes | None = None) -> StepPotential:
+        """This potential with contacts at t+1 frozen.
+
+        Args:
+            contact: planes of the bodies at t+1.
+            opposite: second planes of vertices caught between two parts of a body.
+        """
+        return replace(self, contacts=replace(self.contacts, next=self.raised(contact), opposite=opposite))
+
+    def raised(self, planes: ContactPlanes | None) -> ContactPlanes | None:
+        """`planes` of the bodies, raised where the cloth between vertices is to stay clear of them.
+
+        Args:
+            planes: planes of the bodies; None where there are none.
+        """
+        heights = self.contacts.raised
+        return planes if planes is None or heights is None else planes.raised(heights.to(planes.points))
+
+    def reached(self, x: Tensor, wanted: Tensor) -> tuple[StepPotential, Tensor]:
+        """This potential for a move, and the positions (vertices, 3) [m] to which it leads where cloth stops cloth.
+
+        The cloth elements that the potential compares are fixed to those that meet along the move. The positions are
+        `wanted` itself where nothing touches.
+
+        Args:
+            x: (vertices, 3) [m] from where, crossing nowhere.
+            wanted: (vertices, 3) [m].
+        """
+        contact = self.potential.self_contact
+        if contact is None:
+            return self, wanted
+        met = self._along(x, wanted - x)
+        cloth = met.contacts.cloth
+        on_the_way = None if cloth is None else cloth.obstacle
+        carried, obstacle = contact.collision_free_move(self.step.garments, x, wanted, cloth, obstacle=on_the_way)
+        met = replace(met, contacts=replace(met.contacts, obstacle=obstacle))
+        return (met if carried is wanted else met._along(x, carried - x)), carried
+
+    def as_far_as_free(self, x: Tensor, moves: Tensor) -> tuple[StepPotential, Tensor]:
+        """This potential for a move, as in `reached`, and how far (worlds,) along it, 0 to 1, nothing touches.
+
+        Args:
+            x: (vertices, 3) [m] from where, crossing nowhere.
+            moves: (vertices, 3) [m], linear.
+        """
+        contact, met = self.potential.self_contact, self._along(x, moves)
+        if contact is None:
+            return met, x.new_ones(self.step.garments.world_count)
+        return met, contact.shares(self.step.garments, met.contacts.cloth, x, moves)
+
+    def with_cloth(self, cloth: ClothPairs | None) -> StepPotential:
+        """This potential with the cloth elements that it compares fixed to `cloth`; None looks them up.
+
+        Args:
+            cloth: pairs of cloth elements, or None.
+        """
+        contact = self.potential.self_contact
+        if cloth is None or contact is None:
+            return self
+        if self.contacts.cloth is not None:
+            return replace(self, contacts=replace(self.contacts, cloth=cloth))
+        before = self.step.state.positions
+        obstacle = self._obstacle(before, None)
+        near = contact.pairs(self.step.garments, before, None, before, obstacle=obstacle)
+        return self._with_cloth_from(cloth, near)
+
+    def _with_cloth_from(self, cloth: ClothPairs, start: ClothPairs) -> StepPotential:
+        """This potential with `cloth`, and those of the pairs near at the step's `start` that touch there."""
+        touching = start.touching(self.step.state.positions)
+        return replace(self, contacts=replace(self.contacts, cloth=cloth, cloth_now=touching))
+
+    def without_cloth(self) -> StepPotential:
+        """This potential without contact between cloth elements: finite where cloth crosses cloth."""
+        return replace(self, potential=self.potential.without_self_contact())
+
+    def _along(self, x: Tensor, moves: Tensor | None) -> StepPotential:
+        """This potential with all cloth elements that meet along `moves` (vertices, 3) [m] from `x`; None for none."""
+        contact = self.potential.self_contact
+        if contact is None:
+            return self
+        garments, before, known = self.step.garments, self.step.state.positions, self.contacts.cloth
+        obstacle = self._obstacle(x, moves)
+        cloth = contact.pairs(garments, x, moves, before, known, obstacle)
+        # What a move from the step's start meets is all that touches there.
+        if known is None and x is before:
+            return self._with_cloth_from(cloth, cloth)
+        return self.with_cloth(cloth)
+
+    def _obstacle(self, x: Tensor, moves: Tensor | None) -> Obstacle | None:
+        """The bodies as they move while cloth goes along `moves` (vertices, 3) [m] from `x`: only with the first move.
+
+        Let through what was found to leave them no room.
+        """
+        step, known, contact = self.step, self.contacts.obstacle, self.potential.self_contact
+        if step.bodies is None or contact is None or not contact.pressed_by_bodies:
+            return None
+        if x is step.state.positions:
+            start = step.obstacle
+            return start if start is None or known is None else replace(start, passed=start.passed | known.passed)
+        return known or Obstacle.at(step.garments, step.bodies.following, x.detach())
+
+    def energies(self, x: Tensor) -> Energies:
+        """Energies at `x` (vertices, 3) [m]; differentiable by autograd.
+
+        Args:
+            x: (vertices, 3) [m].
+        """
+        contacts, terms = self._contacts_at(x), self.potential.terms
+        found = self._each(lambda term: term.energies(self.step, contacts, x), terms)
+        return Energies({term.name: energies for term, energies in zip(terms, found, strict=True)})
+
+    def energies_and_gradient(self, x: Tensor) -> tuple[Energies, Tensor]:
+        """Energies and the gradient (vertices, 3) [N] of their total, without autograd.
+
+        Args:
+            x: (vertices, 3) [m] next positions.
+        """
+        contacts, terms = self._contacts_at(x), self.potential.terms
+        found = self._each(lambda term: term.energies_and_gradient(self.step, contacts, x), terms)
+        gradient = torch.zeros_like(x)
+        for _, part in found:
+            gradient = gradient + part
+        return Energies({term.name: energies for term, (energies, _) in zip(terms, found, strict=True)}), gradient
+
+    def energies_of_worlds(self, xs: Tensor) -> Tensor:
+        """Sums (positions, worlds) [J] of all terms at several `xs` (positions, vertices, 3) [m], contacts fixed.
+
+        Args:
+            xs: (positions, vertices, 3) [m].
+        """
+
+        def at(x: Tensor) -> Tensor:
+            return self.energies(x).per_world(self.step.garments)
+
+        return torch.vmap(at)(xs) if self._batches else torch.stack([at(x) for x in xs])
+
+    def gradients(self, xs: Tensor) -> tuple[Tensor, Tensor]:
+        """The same sums (positions, worlds) [J], and the gradients (positions, vertices, 3) [N].
+
+        Args:
+            xs: (positions, vertices, 3) [m].
+        """
+
+        def at(x: Tensor) -> tuple[Tensor, Tensor]:
+            energies, gradient = self.energies_and_gradient(x)
+            return energies.per_world(self.step.garments), gradient
+
+        if self._batches:
+            return torch.vmap(at)(xs)
+        energies, gradients = zip(*map(at, xs), strict=True)
+        return torch.stack(energies), torch.stack(gradients)
+
+    @property
+    def _batches(self) -> bool:
+        """Whether several positions take as many launches as one: on an accelerator."""
+        bodies = self.step.bodies
+        return bodies is not None and bodies.colliders.rooms is not None
+
+    def elements(self) -> dict[str, Tensor]:
+        """The vertices that the terms couple, as in `EnergyTerm.elements`."""
+        parts = {term.name: term.elements(self.step, self.contacts) for term in self.potential.terms}
+        return {name: part for name, part in parts.items() if part is not None}
+
+    def compiled(self) -> StepPotential:
+        """This potential as the solver evaluates it: each term compiled, without autograd."""
+        terms = tuple(term.compiled(self.step, self.contacts) for term in self.potential.terms)
+        return replace(self, potential=replace(self.potential, terms=terms))
+
+    def undifferentiated(self) -> StepPotential:
+        """This potential for its numbers alone: compiled where the garments are what the solver computes with."""
+        garments = self.step.garments
+        of_solver = garments.dtype == torch.float64 and garments.device.type == "cpu" and not self._batches
+        return self.compiled() if of_solver else self
+
+    def stiffness(self, x: Tensor, pattern: StiffnessPattern) -> Stiffness:
+        """Second derivative, or one near it, of the terms that couple `elements`.
+
+        Args:
+            x: (vertices, 3) [m] next positions.
+            pattern: of the `elements`.
+        """
+        contacts, terms = self._contacts_at(x), self._coupling(pattern)
+
+        def summed(those: list[CompiledTerm]) -> Stiffness:
+            sums = pattern.empty()
+            for term in those:
+                term.add_stiffness(contacts, as_float64(x), pattern.slots[term.name], sums)
+            return sums
+
+        # Stretch and bending take most of the time, and as long.
+        sums, *others = self._each(summed, [terms[::2], terms[1::2]] if self._large else [terms])
+        for other in others:
+            np.add(sums.positive, other.positive, out=sums.positive)
+            np.add(sums.compressive, other.compressive, out=sums.compressive)
+        pattern.hold(sums)
+        return sums
+
+    def tangents(self, x: Tensor, pattern: StiffnessPattern) -> list[Tangent]:
+        """Parts of the model of a Newton step that can be relinearised, as in `CompiledTerm.tangents`.
+
+        Args:
+            x: (vertices, 3) [m] where the step begins.
+            pattern: of the `elements`.
+        """
+        contacts = self._contacts_at(x)
+        terms = self._coupling(pattern)
+        return [part for term in terms for part in term.tangents(self.step, contacts, as_float64(x), pattern)]
+
+    def _coupling(self, pattern: StiffnessPattern) -> list[CompiledTerm]:
+        """Terms that couple the elements of a pattern."""
+        return [t for t in self.potential.terms if isinstance(t, CompiledTerm) and t.name in pattern.slots]
+
+    def pair_stiffness(self, x: Tensor) -> list[PairStiffness]:
+        """Second derivatives over pairs of cloth elements, as in `EnergyTerm.pair_stiffness`.
+
+        Args:
+            x: (vertices, 3) [m] next positions.
+        """
+        contacts = self._contacts_at(x)
+        parts = [term.pair_stiffness(self.step, contacts, x) for term in self.potential.terms]
+        return [part for part in parts if part is not None]
+
+    @property
+    def _large(self) -> bool:
+        """Whether parts of an evaluation are worth threads of their own; autograd is another in each thread."""
+        compiled = isinstance(self.potential.terms[0], CompiledTerm)
+        return compiled and self.step.garments.vertex_count > _FEW
+
+    def _each(self, function: Callable[[Part], Result], parts: Sequence[Part]) -> list[Result]:
+        """`function` of each of the `parts`, in their order."""
+        return parallel_map(function, parts) if self._large else [function(part) for part in parts]
+
+    def _contacts_at(self, x: Tensor) -> ContactSet:
+        contacts = self.contacts
+        if self.step.bodies is not None and contacts.next is None:
+            contacts = replace(contacts, next=self.raised(self.contact_at(x)))
+        if contacts.cloth is None:
+            found = self._along(x.detach(), None).contacts
+            contacts = replace(contacts, cloth=found.cloth, cloth_now=found.cloth_now)
+        return contacts
