@@ -60,11 +60,12 @@ from pb4u.jobs.job_folder import FOLDER_VERSION
 from pb4u.motion.character_lead_in import character_lead_in
 from pb4u.motion.library import load_motion
 from pb4u.network.acceleration_model import AccelerationModel
-from pb4u.pattern.dressing import Dressed, sewn_garment
+from pb4u.pattern.dressing import Dressed
 from pb4u.pattern.files import read_dressed, read_pattern, write_dressed
 from pb4u.pattern.garmentcode import record_of
 from pb4u.pattern.mesh import mesh_pattern
 from pb4u.pattern.pattern import Pattern
+from pb4u.pattern.sewing import sewn_garment
 from pb4u.progress import no_progress
 from pb4u.run import Run
 from pb4u.scene.trajectory import Trajectory

@@ -21,12 +21,13 @@ from pb4u.geometry.obj_file import read_obj, write_obj
 from pb4u.measures.job_planner import JobPlanner
 from pb4u.pattern import files
 from pb4u.pattern.body_measurements import shoulder_height, trunk_girths
-from pb4u.pattern.dressing import Dressed, _Sewing, carried, dress
+from pb4u.pattern.dressing import Dressed, dress
 from pb4u.pattern.files import load_worn, read_dressed, write_worn
 from pb4u.pattern.fit_checks import refuse_slipped
 from pb4u.pattern.mesh import mesh_pattern
 from pb4u.pattern.pattern import Panel, Pattern, Seam
 from pb4u.pattern.placement import around, crotch_height
+from pb4u.pattern.sewing import Sewing, carried
 from pb4u.pattern.thin_body import SewingBody
 from pb4u.run import Run, WornGarment
 
@@ -218,7 +219,7 @@ def test_a_top_is_brought_to_the_shoulders_of_its_body(body):
 @pytest.mark.parametrize("height", [0.5, 1.0])
 def test_trousers_are_lowered_to_the_crotch_of_their_body(body, height: float):
     mesh = mesh_pattern(trousers(height), 100)
-    sewing = _Sewing(mesh, body, MATERIALS["default"], None)
+    sewing = Sewing(mesh, body, MATERIALS["default"], None)
     crotch = body.kept("form", BodyForm).crotch
     assert crotch_height(mesh, mesh.placed) == pytest.approx(height)
     assert crotch_height(mesh, sewing.placed) == pytest.approx(min(height, crotch - 0.01), abs=1e-6)
@@ -229,7 +230,7 @@ def test_a_skirt_that_would_begin_above_the_waist_is_lowered(body, raised: float
     panels = [Panel(p.name, p.corners, p.position + (0, raised, 0)) for p in skirt().panels]
     mesh = mesh_pattern(Pattern("skirt", panels, skirt().seams), 100)
     waist = trunk_girths(body)["waist"][0]
-    placed = _Sewing(mesh, body, MATERIALS["default"], None).placed
+    placed = Sewing(mesh, body, MATERIALS["default"], None).placed
     assert placed[:, 1].max() == pytest.approx(min(1.1 + raised, waist + 0.05), abs=1e-6)
 
 

@@ -1,0 +1,283 @@
+"""The cloth of a pattern while it is sewn around a resting body, and hangs there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.body.body_model import ShapedBody
+from pb4u.collision.crossings import self_crossings
+from pb4u.garment.fit import RestBody
+from pb4u.garment.garment import Garment
+from pb4u.garment.garment_file import nearest_places
+from pb4u.garment.material import Material
+from pb4u.garment.support import find_support
+from pb4u.garment.tangles import untangled_start
+from pb4u.pattern.mesh import PatternMesh
+from pb4u.pattern.placement import around, off_body, sleeve_points
+from pb4u.pattern.thin_body import SewingBody
+from pb4u.physics.contact.contact_set import nearest_planes
+from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.solver.implicit_steps import implicit_steps
+from pb4u.physics.solver.newton_solver import Solver
+from pb4u.physics.terms.collision import STIFF_CONTACT_WEIGHT, Collision
+from pb4u.physics.time_step import TimeStep
+from pb4u.scene.colliders import ColliderFrame, ColliderPose, pack_colliders
+from pb4u.scene.packed import PackedGarments, pack
+from pb4u.scene.scene import STANDARD_GRAVITY, UP
+from pb4u.scene.state import State
+from pb4u.threads import without_library_threads
+
+_SHARES = (0.7, 0.5, 0.3)
+"""Shares of a body's girth around its bones with which sewing may begin."""
+
+_SHALLOW = 0.01
+"""Depth [m] in the body at which cloth may start: contact leads it out on the side that it came from."""
+
+_LIFTS = (0.0, 0.02, 0.04, 0.06)
+"""Heights [m] by which the pattern may be raised for that: shoulder seams are often placed a little within the body."""
+
+_GROWTH_STEPS = 5
+"""Steps in which the body fills out: 1 or 2 cm at the waist in each."""
+
+_NEAR = 0.1
+"""Distance [m] from the skin within which cloth begins a step by moving with it, less and less towards it."""
+
+_SOFTNESS = (0.03, 0.3, 1.0, 1.0)
+"""Stiffness of the cloth while its seams close, as a share of its own: stiff cloth would jump through a shoulder."""
+
+_SEWING_DT = 1.0 / 30.0
+"""Time [s] of a step while the seams close and the body grows: with longer ones the garment turns around the neck."""
+
+_HANGING_DT = 0.2
+"""Time [s] of a step while it settles under gravity."""
+
+_ITERATIONS = 15
+"""Most iterations of the solver in a step of dressing."""
+
+_STILL = 1e-3
+"""Rms displacement [m] of a step at which the garment hangs."""
+
+_LEFT_INSIDE = 1e-3
+"""Depth [m] from which on cloth that hangs is pushed out of the body."""
+
+
+def sewn_garment(mesh: PatternMesh, places: np.ndarray, material: Material) -> Garment:
+    """The garment of a mesh with its vertices at `places` (vertices, 3) [m], flat at rest, its UVs the pattern.
+
+    Args:
+        mesh: mesh of the pattern.
+        places: (vertices, 3) [m] positions.
+        material: of the cloth.
+    """
+    panels = tuple(panel.name for panel in mesh.pattern.panels)
+    return Garment(
+        mesh.pattern.name, places, mesh.sewn_faces, material,
+        uvs=mesh.uvs, uv_faces=mesh.faces, rest_uv=mesh.rest_uv, panels=panels,
+    )  # fmt: skip
+
+
+def carried(source: PatternMesh, places: np.ndarray, target: PatternMesh) -> np.ndarray:
+    """Where another mesh of the same panels lies, if the cloth is where it was.
+
+    Args:
+        source: mesh of the panels.
+        places: (vertices, 3) of its garment [m].
+        target: the other mesh.
+
+    Returns:
+        (vertices, 3) of its garment [m].
+    """
+    moved = np.empty((len(target.points), 3))
+    flat = [np.column_stack([mesh.points, np.zeros(len(mesh.points))]) for mesh in (source, target)]
+    for panel in range(len(source.pattern.panels)):
+        faces, own = source.faces[source.face_panel == panel], np.flatnonzero(target.panel == panel)
+        face, shares = nearest_places(flat[1][own], flat[0], faces)
+        moved[own] = np.einsum("pc,pcx->px", shares, places[source.vertex[faces[face]]])
+    return target.sewn(moved)
+
+
+class Sewing:
+    """The cloth of one mesh of a pattern, and the body that it is sewn around.
+
+    Args:
+        mesh: the panels.
+        body: the resting body.
+        material: of the cloth.
+        watch: called after every step with the vertices (vertices, 3) [m] of garment and body; None for nobody.
+    """
+
+    def __init__(
+        self,
+        mesh: PatternMesh,
+        body: ShapedBody,
+        material: Material,
+        watch: Callable[[np.ndarray, np.ndarray], None] | None,
+    ) -> None:
+        self.mesh, self.body, self.watch = mesh, body, watch
+        self.rest_body = RestBody.of(body)
+        faces, contact = torch.from_numpy(body.faces), torch.from_numpy(body.contact)
+        # Sleeves have to close around hands as well.
+        self.whole = pack_colliders([faces], [torch.ones_like(contact)], [0], ground_height=None)
+        self.colliders = pack_colliders([faces], [contact], [0], ground_height=None)
+        self.potential = IncrementalPotential().with_self_contact(True)
+        terms = tuple(term for term in self.potential.terms if "friction" not in term.name)
+        self.smooth = replace(self.potential, terms=terms)
+        self.material = material
+
+    def garment(self, places: np.ndarray) -> Garment:
+        """The garment with its vertices at some places.
+
+        Args:
+            places: (vertices, 3) [m].
+        """
+        return sewn_garment(self.mesh, places, self.material)
+
+    @cached_property
+    def thin_body(self) -> SewingBody:
+        """The body that the garment is sewn around."""
+        return SewingBody(self.body, sleeve_points(self.mesh, self.placed))
+
+    @cached_property
+    def placed(self) -> np.ndarray:
+        """Places (points, 3) [m] of the panels around this body."""
+        return around(self.mesh, self.body)
+
+    def pose(self, share: float, done: float) -> ColliderPose:
+        """The whole body, hands included, thin or grown as in `SewingBody.between`.
+
+        Args:
+            share: of its girth with which it begins.
+            done: share of the way to its size.
+        """
+        return self.whole.pose(torch.from_numpy(self.thin_body.between(share, done)))
+
+    @cached_property
+    def rest_pose(self) -> ColliderPose:
+        """The body in its size, as simulations touch it."""
+        return self.colliders.pose(torch.from_numpy(self.body.vertices))
+
+    def sewn(self) -> np.ndarray:
+        """Places (vertices, 3) [m] of the garment around the body in its size, without weight."""
+        start, share = self.clear_start(off_body(self.mesh, self.placed, self.thin_body.thin(1.0)))
+        garment = self.garment(start)
+        packed, x = pack([garment]), torch.from_numpy(start)
+        solver = Solver(tolerance=1.0, max_iterations=_ITERATIONS)
+        # Sleeves may be placed through the sides that they are sewn to; they part as the seams close.
+        crosses = len(self_crossings(start.astype(np.float32), garment.faces, sharing=True)) > 0
+        closing = self.smooth.without_self_contact() if crosses else self.smooth
+        thin = self.pose(share, 0.0)
+        for softness in _SOFTNESS:
+            soft = packed if softness == 1.0 else replace(
+                packed, lame_mu=softness * packed.lame_mu, lame_lambda=softness * packed.lame_lambda
+            )  # fmt: skip
+            x = self.step(soft, x, solver, closing, (thin, thin))
+        if crosses:
+            x = torch.from_numpy(untangled_start([garment], x.numpy()))
+        for part in range(_GROWTH_STEPS):
+            poses = self.pose(share, part / _GROWTH_STEPS), self.pose(share, (part + 1) / _GROWTH_STEPS)
+            x = self.step(packed, x, solver, self.smooth, poses)
+        return self.step(packed, x, solver, self.smooth, (poses[1], poses[1])).numpy()
+
+    def clear_start(self, places: np.ndarray) -> tuple[np.ndarray, float]:
+        """The garment (vertices, 3) [m] raised clear, and the share of its girth with which a body fits in.
+
+        Args:
+            places: (points, 3) [m] of the panels.
+        """
+        places = self.mesh.sewn(places)
+        for share in _SHARES:
+            surface = self.pose(share, 0.0).surfaces[0]
+            assert surface is not None
+            for lift in _LIFTS:
+                raised = places + lift * np.array(UP)
+                found = surface.nearest(
+                    torch.from_numpy(np.concatenate([raised, raised[self.mesh.sewn_faces].mean(1)]))
+                )
+                if not bool(((found.signed_distance < -_SHALLOW) & ~found.beyond_border).any()):
+                    return raised, share
+        return raised, share
+
+    def outside(self, places: np.ndarray) -> np.ndarray:
+        """Places (vertices, 3) [m] near the given ones outside the body, where no cloth crosses.
+
+        Args:
+            places: (vertices, 3) [m].
+        """
+        from pb4u.garment.repair import push_out
+
+        garment = self.garment(places)
+        out = push_out(places, garment.topology, self.rest_body) if self.rest_body.is_closed else places
+        return untangled_start([garment], out)
+
+    def hung(self, places: np.ndarray, most: int) -> np.ndarray:
+        """Places (vertices, 3) [m] of the garment settled under gravity, held by what would hold it in life.
+
+        Args:
+            places: (vertices, 3) [m] from where it settles.
+            most: steps after which it is taken as it hangs.
+        """
+        garment = self.garment(places)
+        support = find_support(places, garment.faces, self.rest_body)
+        held = garment if support.held is None else garment.with_pins(support.held)
+        packed, x = pack([held]), torch.from_numpy(places)
+        solver = Solver(tolerance=0.05, max_iterations=_ITERATIONS)
+        for _ in range(most):
+            before, x = x, self.step(packed, x, solver, self.potential, (self.rest_pose, self.rest_pose), hangs=True)
+            if float((x - before).square().sum(1).mean().sqrt()) < _STILL:
+                break
+        if self.depth(x) > _LEFT_INSIDE:
+            firm = self.potential.with_term(Collision(weight=STIFF_CONTACT_WEIGHT))
+            x = self.step(packed, x, solver, firm, (self.rest_pose, self.rest_pose), hangs=True)
+        return x.numpy()
+
+    def step(
+        self,
+        packed: PackedGarments,
+        x: Tensor,
+        solver: Solver,
+        potential: IncrementalPotential,
+        poses: tuple[ColliderPose, ColliderPose],
+        hangs: bool = False,
+    ) -> Tensor:
+        """Positions (vertices, 3) [m] after a step from rest while the body moves.
+
+        Args:
+            packed: the garment.
+            x: (vertices, 3) [m] where the step begins.
+            solver: takes the step.
+            potential: energies that it lowers.
+            poses: of the body, where the step begins and where it ends.
+            hangs: whether the cloth has its weight, and time to settle.
+        """
+        before, after = poses
+        collider, dt = ColliderFrame(before, before, after), _HANGING_DT if hangs else _SEWING_DT
+        # Cloth near the skin goes with it, or a wrist that bends would come through a cuff between its vertices.
+        near = nearest_planes(before, packed, x, within=_NEAR)
+        moved = near.interpolated(collider.motion, self.whole.contact_faces) if before is not after else 0.0 * x
+        share = torch.where(near.touchable, 1.0 - near.distance.abs() / _NEAR, 0.0).clamp(0.0, 1.0)
+        gravity = x.new_tensor(UP) * (-STANDARD_GRAVITY if hangs else 0.0)
+        state = State(x, share[:, None] * moved / dt, 0)
+        step = TimeStep(packed, state, collider, dt, gravity, pin_positions=x)
+        with without_library_threads():
+            state, _ = implicit_steps(potential, solver, step, _ITERATIONS)
+        if self.watch:
+            self.watch(state.positions.numpy(), after.positions.numpy())
+        return state.positions
+
+    def depth(self, x: Tensor) -> float:
+        """How deep [m] the deepest of the vertices is in the body that simulations touch.
+
+        Args:
+            x: (vertices, 3) [m].
+        """
+        surface = self.rest_pose.surfaces[0]
+        if surface is None:
+            return 0.0
+        found = surface.nearest(x)
+        return max(0.0, -float(torch.where(found.beyond_border, 0.0, found.signed_distance).min()))
