@@ -22,7 +22,12 @@ from pb4u.io.atomic_file import check_writable
 from pb4u.progress import progress_bar
 
 if TYPE_CHECKING:
+    from pb4u.body.body_model import ShapedBody
     from pb4u.garment.material import Material
+    from pb4u.geometry.mesh_file import PolygonMesh
+
+_SUFFIXES = {"garment": ".obj", "body": ".obj", "motion": ".npz", "material": ".json"}
+"""What each kind of asset is written as."""
 
 group = typer.Typer(
     cls=Verbs, help="List the built-in bodies, motions, garments, materials and models; write any of them to a file."
@@ -58,25 +63,14 @@ def catalogue() -> dict[str, list[dict[str, Any]]]:
     """Descriptions of everything built in, by kind."""
     from dataclasses import asdict
 
-    from pb4u.body.library import body_names, load_body
+    from pb4u.body.library import body_names, load_boned_body
     from pb4u.garment.library import LEVELS, garment_names
     from pb4u.garment.material import MATERIALS
     from pb4u.motion.library import motion_names
     from pb4u.simulation.models import model_descriptions
 
-    bodies = []
-    for name in body_names():
-        body = load_body(name)
-        shape = body.shape if hasattr(body, "shape") else {}
-        bodies.append(
-            {
-                "name": name,
-                "description": f"height {_height(body):.2f} m; shape: {', '.join(shape)}",
-                "shape": dict(shape),
-            }
-        )
     return {
-        "bodies": bodies,
+        "bodies": [{"name": name, **_body_entries(load_boned_body(name))} for name in body_names()],
         "motions": [{"name": name} for name in motion_names()],
         "garments": [{"name": name, "levels": dict(LEVELS)} for name in garment_names()],
         "materials": [
@@ -87,12 +81,15 @@ def catalogue() -> dict[str, list[dict[str, Any]]]:
     }
 
 
+def _body_entries(body: ShapedBody) -> dict[str, Any]:
+    return {
+        "description": f"height {body.height:.2f} m; shape: {', '.join(body.shape)}",
+        "shape": dict(body.shape),
+    }
+
+
 def _material_line(material: Material) -> str:
     return f"{material.density:g} kg/m^2, mu {material.lame_mu:g} Pa, bending {material.bending:.2g} J"
-
-
-def _height(body: Any) -> float:
-    return float(body.rest_vertices[:, 1].max() if hasattr(body, "rest_vertices") else body.height)
 
 
 @group.command("write", cls=Verb)
@@ -127,47 +124,73 @@ def write(
         InputError: there is no such asset, or the file cannot be written or has the wrong suffix for its kind.
     """
     from pb4u.body.library import body_names, load_boned_body
-    from pb4u.garment.library import build_garment, garment_names
+    from pb4u.garment.library import garment_names
     from pb4u.garment.material import MATERIALS
-    from pb4u.motion.library import load_motion, motion_names
+    from pb4u.motion.library import motion_names
 
-    expected = {**dict.fromkeys(garment_names(), ".obj"), **dict.fromkeys(body_names(), ".obj")}
-    expected |= {**dict.fromkeys(motion_names(), ".npz"), **dict.fromkeys(MATERIALS, ".json")}
-    is_file = name not in expected and Path(name).exists()
-    if is_file:
-        expected[name] = ".obj"
-    refuse_unknown("built-in asset", [name], expected)
-    if out.suffix.lower() != expected[name]:
-        raise InputError(f"{name} is written as {expected[name]}; {out} ends otherwise.")
+    named = {"garment": garment_names(), "body": body_names(), "motion": motion_names(), "material": MATERIALS}
+    kinds = {each: kind for kind, names in named.items() for each in names}
+    if name not in kinds and Path(name).exists():
+        kinds[name] = "body"
+    refuse_unknown("built-in asset", [name], kinds)
+    kind = kinds[name]
+    if out.suffix.lower() != _SUFFIXES[kind]:
+        raise InputError(f"{name} is written as {_SUFFIXES[kind]}; {out} ends otherwise.")
     check_writable(out, "the asset")
     check_json_target(json)
-    if name in MATERIALS:
-        from dataclasses import asdict
-
-        write_json(asdict(MATERIALS[name]), str(out))
-        tell({"name": name, "kind": "material", "out": str(out)}, json, f"Wrote {out}")
-        return
-    if frames < 1 or not 1.0 <= fps <= 1000.0:
+    if kind != "material" and (frames < 1 or not 1.0 <= fps <= 1000.0):
         raise InputError(f"A motion has 1 frame or more at 1 to 1000 per second, not {frames} at {fps:g}.")
-    figure = load_boned_body(name if is_file or name in body_names() else body, BodyShape.of(body_shape))
-    if name in motion_names():
-        from pb4u.body.sequence_files import write_vertex_sequence
 
-        moving = figure.posed(load_motion(name).poses(figure, fps, frames))
-        write_vertex_sequence(out, moving.positions(0, frames).numpy(), figure.faces, fps, figure.contact)
-        told = {"name": name, "kind": "motion", "out": str(out), "body": figure.name, "vertices": len(figure.vertices)}
-        tell({**told, "triangles": len(figure.faces), "frames": frames, "fps": fps}, json, f"Wrote {out}")
-        return
+    def figure() -> ShapedBody:
+        return load_boned_body(name if kind == "body" else body, BodyShape.of(body_shape))
+
+    writers = {
+        "garment": lambda: _write_garment(name, figure(), triangles, out),
+        "body": lambda: _write_body(figure(), out),
+        "motion": lambda: _write_motion(name, figure(), frames, fps, out),
+        "material": lambda: _write_material(name, out),
+    }
+    tell({"name": name, "kind": kind, "out": str(out), **writers[kind]()}, json, f"Wrote {out}")
+
+
+def _write_garment(name: str, figure: ShapedBody, triangles: int | None, out: Path) -> dict[str, Any]:
+    from pb4u.garment.library import build_garment
+
+    garment = build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
+    return _write_mesh(figure, garment.mesh, out)
+
+
+def _write_body(figure: ShapedBody, out: Path) -> dict[str, Any]:
     from pb4u.geometry.mesh_file import PolygonMesh
+
+    return _write_mesh(figure, PolygonMesh(figure.vertices, tuple(figure.faces)), out)
+
+
+def _write_mesh(figure: ShapedBody, mesh: PolygonMesh, out: Path) -> dict[str, Any]:
+    """Write the mesh of a body, or of what is cut for it, as OBJ."""
     from pb4u.geometry.obj_file import write_obj
 
-    kind, mesh = "body", PolygonMesh(figure.vertices, tuple(figure.faces))
-    if name in garment_names():
-        garment = build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
-        kind, mesh = "garment", garment.mesh
     write_obj(out, mesh)
-    told = {"name": name, "kind": kind, "out": str(out), "body": figure.name, "vertices": len(mesh.vertices)}
-    tell({**told, "triangles": len(mesh.polygons)}, json, f"Wrote {out}")
+    return {"body": figure.name, "vertices": len(mesh.vertices), "triangles": len(mesh.polygons)}
+
+
+def _write_motion(name: str, figure: ShapedBody, frames: int, fps: float, out: Path) -> dict[str, Any]:
+    from pb4u.body.sequence_files import write_vertex_sequence
+    from pb4u.motion.library import load_motion
+
+    moving = figure.posed(load_motion(name).poses(figure, fps, frames))
+    write_vertex_sequence(out, moving.positions(0, frames).numpy(), figure.faces, fps, figure.contact)
+    told = {"body": figure.name, "vertices": len(figure.vertices), "triangles": len(figure.faces)}
+    return {**told, "frames": frames, "fps": fps}
+
+
+def _write_material(name: str, out: Path) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from pb4u.garment.material import MATERIALS
+
+    write_json(asdict(MATERIALS[name]), str(out))
+    return {}
 
 
 @group.command("pack", cls=Verb)

@@ -64,29 +64,15 @@ def check(
         InputError: the arguments contradict each other, or a file cannot be read or written.
     """
     from pb4u.body.library import load_body
-    from pb4u.garment.library import garment_names
 
-    if file is not None and garment:
-        raise InputError(f"Give {file} or --garment {garment[0]}, not both; of several garments each as --garment.")
-    names = garment or ([] if file is None else [file])
+    names = _named_garments(file, garment, motion, crop, fix)
     given = names[0] if names else None
-    if len(names) > 1 and fix is not None:
-        raise InputError("--fix mends one garment at a time; give that one.")
-    if repeated := next((name for k, name in enumerate(names) if name in names[:k]), None):
-        raise InputError(f"The garment {repeated} is worn twice, and both would lie in the same place.")
-    if given is None and motion is None:
-        raise InputError("Nothing to check: give a garment file or name, or --motion.")
-    if crop is not None and motion is None:
-        raise InputError("--crop cuts the recording of --motion; give that as well.")
     check_json_target(json)
     keep_inputs([*names, body, motion], [("--fix", fix), ("--json", json)])
     if fix is not None:
         _check_fix(fix, given)
-    if triangles is not None and not all(name in garment_names() or _is_sewn(name) for name in names):
-        warn(
-            "--triangles is for a built-in garment or a pattern and is not used here; a mesh is checked as it is, and "
-            "`pb4u simulate --triangles` remeshes it.",
-        )
+    if triangles is not None:
+        _warn_of_triangles(names)
     with warnings.catch_warnings():
         if names:  # a finding of each garment says so
             warnings.filterwarnings("ignore", ".*the body is not closed", InputWarning)
@@ -108,6 +94,38 @@ def check(
         raise Pb4uError(f"{fix} was not written: it would still be refused; mend what stays in its program first.")
     if refused:
         raise Pb4uError(f"{' with '.join(names)} would be refused; the findings above say how to mend it.")
+
+
+def _named_garments(
+    file: str | None,
+    garment: list[str] | None,
+    motion: str | None,
+    crop: tuple[int, int] | None,
+    fix: Path | None,
+) -> list[str]:
+    """Names of the garments to check; flags that contradict each other are refused."""
+    if file is not None and garment:
+        raise InputError(f"Give {file} or --garment {garment[0]}, not both; of several garments each as --garment.")
+    names = garment or ([] if file is None else [file])
+    if len(names) > 1 and fix is not None:
+        raise InputError("--fix mends one garment at a time; give that one.")
+    if repeated := next((name for k, name in enumerate(names) if name in names[:k]), None):
+        raise InputError(f"The garment {repeated} is worn twice, and both would lie in the same place.")
+    if not names and motion is None:
+        raise InputError("Nothing to check: give a garment file or name, or --motion.")
+    if crop is not None and motion is None:
+        raise InputError("--crop cuts the recording of --motion; give that as well.")
+    return names
+
+
+def _warn_of_triangles(names: list[str]) -> None:
+    from pb4u.garment.library import garment_names
+
+    if not all(name in garment_names() or _is_sewn(name) for name in names):
+        warn(
+            "--triangles is for a built-in garment or a pattern and is not used here; a mesh is checked as it is, and "
+            "`pb4u simulate --triangles` remeshes it.",
+        )
 
 
 def _check_outfit(names: list[str], figure: Any, body: str, triangles: int | None) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.panels import SewnPanels
 from pb4u.export.sewing_lines import sewn_parts
 from pb4u.export.shading import SKIN, ClothPart
-from pb4u.export.shape_basis import fit_shapes
+from pb4u.export.shape_basis import ShapeBasis, fit_shapes
 from pb4u.geometry.appearance import image_suffix
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.author_mesh import split_seams
@@ -100,6 +100,14 @@ def _assemble(document: dict[str, Any], binary: Path, path: Path) -> None:
         shutil.copyfileobj(data, out, 1 << 20)
 
 
+def _told_of(baked: BakedBones) -> str:
+    """How far off its bones leave the garment, as a predicate without its subject."""
+    return (
+        f"has {len(baked.centres)} bones, which leave the garment {1000 * baked.rms_error:.1f} mm off "
+        f"(root mean square) and {1000 * baked.largest_error:.1f} mm at most."
+    )
+
+
 class _Document:
     """The JSON of a glTF file, while its arrays go to a binary file."""
 
@@ -156,45 +164,20 @@ class _Document:
                 f"{_MOST_TARGETS} morph targets leave the {name} up to {1000 * basis.error:.1f} mm from the "
                 "trajectory; write a shorter range, or USD, which is exact.",
             )
-        of_vertex, corners, uvs = split_seams(len(basis.start), faces, *uv)
-        attributes = {
-            "POSITION": self._vectors(basis.start[of_vertex], bounded=True),
-            "NORMAL": self._vectors(basis.start_normals[of_vertex]),
-        }
-        if uvs is not None:
-            attributes["TEXCOORD_0"] = self._vectors(uvs * (1.0, -1.0) + (0.0, 1.0))  # v downward
-        extras: dict[str, Any] = {"largest_error": basis.error}
-        if panels is not None:
-            of_written = np.full(len(of_vertex), -1.0, dtype="<f4")
-            of_written[corners] = panels.of_face[:, None]
-            attributes["_PANEL"] = self._add(of_written, "SCALAR", _FLOAT, _ARRAY_BUFFER)
-            extras |= {"panels": panels.names, "seams": panels.seams.ravel().tolist()}
         baked = None if self._bones is None else bake_bones(np.asarray(positions), self._bones, progress)
+        of_vertex, corners, uvs = split_seams(len(basis.start), faces, *uv)
+        extras: dict[str, Any] = {"largest_error": basis.error}
+        attributes = self._attributes(basis, of_vertex, uvs)
+        if panels is not None:
+            attributes["_PANEL"] = self._panels(panels, of_vertex, corners)
+            extras |= {"panels": panels.names, "seams": panels.seams.ravel().tolist()}
         if baked is not None:
-            joints, weights = baked.joints[of_vertex].astype("<u2"), baked.weights[of_vertex].astype("<f4")
-            attributes["JOINTS_0"] = self._add(joints, "VEC4", _UNSIGNED_SHORT, _ARRAY_BUFFER)
-            attributes["WEIGHTS_0"] = self._add(weights, "VEC4", _FLOAT, _ARRAY_BUFFER)
-        # The parts share their vertices; none but theirs are read of them.
-        primitives: list[dict[str, Any]] = [
-            {
-                "attributes": attributes,
-                "indices": self._add(
-                    corners[look.faces].reshape(-1).astype("<u4"), "SCALAR", _UNSIGNED_INT, _ELEMENT_ARRAY_BUFFER
-                ),
-                "material": self._material(look),
-            }
-            for look in looks
-        ]
+            attributes |= self._joints(baked, of_vertex)
+        primitives = self._primitives(attributes, corners, looks)
         mesh: dict[str, Any] = {"name": name, "primitives": primitives, "extras": extras}
         node = len(self._json["nodes"])
         if len(basis.shapes):
-            targets = [
-                {
-                    "POSITION": self._vectors(shape[of_vertex], bounded=True),
-                    "NORMAL": self._vectors(normals[of_vertex]),
-                }
-                for shape, normals in zip(basis.shapes, basis.normal_shapes, strict=True)
-            ]
+            targets = self._morph_targets(basis, of_vertex)
             for primitive in primitives:
                 primitive["targets"] = targets
             mesh["weights"] = [0.0] * len(basis.shapes)
@@ -207,10 +190,56 @@ class _Document:
             self._add_skin(node, baked)
             extras |= {"largest_error": baked.largest_error, "rms_error": baked.rms_error}
             if name == "garment":
-                self.told = (
-                    f"has {len(baked.centres)} bones, which leave the garment {1000 * baked.rms_error:.1f} mm off "
-                    f"(root mean square) and {1000 * baked.largest_error:.1f} mm at most."
-                )
+                self.told = _told_of(baked)
+
+    def _attributes(self, basis: ShapeBasis, of_vertex: np.ndarray, uvs: np.ndarray | None) -> dict[str, int]:
+        """Places, normals and UVs of the written vertices, copies of those `of_vertex` (written,)."""
+        attributes = {
+            "POSITION": self._vectors(basis.start[of_vertex], bounded=True),
+            "NORMAL": self._vectors(basis.start_normals[of_vertex]),
+        }
+        if uvs is not None:
+            attributes["TEXCOORD_0"] = self._vectors(uvs * (1.0, -1.0) + (0.0, 1.0))  # v downward
+        return attributes
+
+    def _panels(self, panels: SewnPanels, of_vertex: np.ndarray, corners: np.ndarray) -> int:
+        """The panel of each written vertex, a corner of faces `corners` (faces, 3); -1 of none."""
+        of_written = np.full(len(of_vertex), -1.0, dtype="<f4")
+        of_written[corners] = panels.of_face[:, None]
+        return self._add(of_written, "SCALAR", _FLOAT, _ARRAY_BUFFER)
+
+    def _joints(self, baked: BakedBones, of_vertex: np.ndarray) -> dict[str, int]:
+        """The bones of each written vertex and their weights."""
+        joints, weights = baked.joints[of_vertex].astype("<u2"), baked.weights[of_vertex].astype("<f4")
+        return {
+            "JOINTS_0": self._add(joints, "VEC4", _UNSIGNED_SHORT, _ARRAY_BUFFER),
+            "WEIGHTS_0": self._add(weights, "VEC4", _FLOAT, _ARRAY_BUFFER),
+        }
+
+    def _primitives(
+        self, attributes: dict[str, int], corners: np.ndarray, looks: Sequence[ClothPart]
+    ) -> list[dict[str, Any]]:
+        """A primitive for each part; they share their vertices, and none but their own are read of them."""
+        return [
+            {
+                "attributes": attributes,
+                "indices": self._add(
+                    corners[look.faces].reshape(-1).astype("<u4"), "SCALAR", _UNSIGNED_INT, _ELEMENT_ARRAY_BUFFER
+                ),
+                "material": self._material(look),
+            }
+            for look in looks
+        ]
+
+    def _morph_targets(self, basis: ShapeBasis, of_vertex: np.ndarray) -> list[dict[str, int]]:
+        """Offsets of each shape for the written vertices and their normals."""
+        return [
+            {
+                "POSITION": self._vectors(shape[of_vertex], bounded=True),
+                "NORMAL": self._vectors(normals[of_vertex]),
+            }
+            for shape, normals in zip(basis.shapes, basis.normal_shapes, strict=True)
+        ]
 
     def _add_skin(self, node: int, baked: BakedBones) -> None:
         """Bones of a mesh's node, each a joint that moves and turns."""
