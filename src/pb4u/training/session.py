@@ -199,8 +199,8 @@ def _make_again(folder: RunFolder, configuration: TrainingConfiguration, record:
 def _restore(trainer: Trainer, folder: RunFolder) -> None:
     found, origin = folder.load_state(), folder.configuration().get("origin")
     if origin is not None:
-        trainer.origin = training_record_from_json(origin["record"])
-        trainer.licence = str(origin["licence"])
+        trainer.averages.origin = training_record_from_json(origin["record"])
+        trainer.averages.licence = str(origin["licence"])
     if found is not None:
         trainer.resume(*found)
     elif origin is not None:

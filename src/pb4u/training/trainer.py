@@ -6,27 +6,26 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import asdict, astuple, fields, replace
+from dataclasses import replace
 from enum import Enum, auto
-from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from pb4u.errors import InputError
 from pb4u.measures.metrics import strain_percentile
 from pb4u.network.acceleration_model import PreparedGarments
 from pb4u.physics.time_step import TimeStep
 from pb4u.progress import format_duration
 from pb4u.scene.state import State
-from pb4u.simulation.checkpoint import Checkpoint, TrainingRecord, save_checkpoint
+from pb4u.simulation.checkpoint import Checkpoint
 from pb4u.simulation.device_steps import bytes_a_vertex, require_memory
 from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 from pb4u.simulation.pass_search import search_of
 from pb4u.simulation.step import Prediction, StepMethod, predictions
 from pb4u.simulation.step_start import start_accelerations, start_of
 from pb4u.simulation.timeline import SETTLING_DT
+from pb4u.training.averaged_weights import AveragedWeights
 from pb4u.training.budget import Budget, Counters
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.distribution import Workers
@@ -35,26 +34,21 @@ from pb4u.training.learner import Learner
 from pb4u.training.lost_garment import GarmentWatch, drift_from
 from pb4u.training.objective import (
     PROGRESS,
-    comparable_total,
     further_losses,
     mean_energies,
     progress_weights,
     step_energies,
-    strain_energy,
 )
-from pb4u.training.outcome import Outcome
+from pb4u.training.outcome import Outcome, note_outcomes
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.recovery import Recovery
 from pb4u.training.run_folder import RunFolder
-from pb4u.training.training_record import training_record
-from pb4u.training.validation import Score, Validation
+from pb4u.training.validation import Validation
 from pb4u.training.wardrobe import Wardrobe
 from pb4u.training.windows import Rollout, Sampler, WindowLoader
 
 _WORTH_SAYING = 300.0
 """Seconds of a whole training above which its time is said beforehand."""
-IMPROVEMENT = 0.005
-"""Share of the energy by which a score must be better to count: less is the noise of a validation."""
 
 
 class RoundEnd(Enum):
@@ -99,13 +93,13 @@ class Trainer:
         self.share = workers.share(configuration.batch)
         self.counters = Counters()
         self.journal = Journal(reporter, folder, workers.leads)
+        self.averages = AveragedWeights(
+            configuration, data, self.learner, self.validation, workers, folder, self.journal
+        )
         self.recovery = Recovery(self.learner, workers, folder, self.journal)
         self.rooms = self.loader.wardrobe.rooms
         self.outcomes: list[Outcome] = []
         self.latest_collision = torch.zeros(())
-        self.origin: TrainingRecord | None = None
-        # Of what is made from free assets alone; weights that go on from others keep theirs.
-        self.licence = "Apache-2.0"
         self.began = time.monotonic()
 
     def run(self) -> str:
@@ -145,14 +139,14 @@ class Trainer:
                 self.counters = self.recovery.roll_back(self.counters)
                 continue
             if self._due(self.configuration.validate_every, begun.step):
-                self.validate()
+                self.averages.validate(self.counters)
             if self._due(self.configuration.checkpoint_every, begun.step) and self.counters.guard.calm:
                 self._checkpoint()
         if ending == "stopped" and not self.counters.guard.calm:
             self.counters = self.recovery.return_to(self.recovery.saved)
         if ending != "stopped":
-            self.validate()
-            self._save_averaged("final", {})
+            self.averages.validate(self.counters)
+            self.averages.save("final", {}, self.counters)
         self._checkpoint(exact=True, insist=True)
         return ending
 
@@ -182,16 +176,7 @@ class Trainer:
 
     def _keep_time_to_validate(self) -> None:
         """Take the validation at the end off the minutes, so that they hold it too."""
-        seconds = 0.0
-        if self.workers.leads:
-            self.journal.say("Making what validations compare with; the minutes begin after it.")
-            _ = self.validation.references
-            began = time.monotonic()
-            with self.learner.averaged():
-                score = self.validation.score(self.model.eval())
-            self.model.train()
-            # What is lost early is rolled out no further; later weights keep it to the end.
-            seconds += (time.monotonic() - began) / max(score.survived, 0.25)
+        seconds = self.averages.seconds_to_validate() if self.workers.leads else 0.0
         self.budget = self.budget.without(self.workers.total(seconds))
 
     def _due(self, every: int, before: int) -> bool:
@@ -372,24 +357,8 @@ class Trainer:
         outcomes, self.outcomes, before = self.outcomes, [], self.counters.step - len(self.outcomes)
         if not outcomes:
             return True
-        seen = torch.stack([outcome.values for outcome in outcomes])
-        if self.rooms is not None:
-            # All that the processor reads comes in one copy.
-            searches, wanted = self.rooms.taken()
-            read = torch.cat([seen.flatten().double(), wanted.double()]).cpu()
-            seen = read[: seen.numel()].reshape(seen.shape)
-            self.rooms.grow(searches, read[seen.numel() :].to(torch.int64))
-        rows = seen.tolist()
-        self.counters.step = before
-        for outcome, row in zip(outcomes, rows, strict=True):
-            if outcome.skipped(row):
-                continue
-            if not outcome.finite(row):
-                return False
-            named, weight = dict(zip(outcome.names, row, strict=False)), outcome.settings["collision_weight"]
-            self.counters.step += 1
-            self.counters.guard = self.counters.guard.after(strain_energy(named, weight))
-            self.journal.add({**named, **outcome.settings}, comparable_total(named, weight))
+        if not note_outcomes(outcomes, self.rooms, self.counters, self.journal):
+            return False
         if self._due(self.configuration.log_every, before):
             self._log()
         return not self.counters.guard.exploded
@@ -401,40 +370,6 @@ class Trainer:
     def _checkpoint(self, exact: bool = False, insist: bool = False) -> None:
         self._log()
         self.recovery.checkpoint(self.counters, exact, insist)
-
-    def validate(self) -> None:
-        """Score the averaged weights, and keep them where they are the best so far."""
-        if self.counters.validated == self.counters.step and self.counters.best is not None:
-            return
-        self.counters.validated = self.counters.step
-        outcome = torch.zeros(len(fields(Score)), dtype=torch.float64, device=self.workers.device)
-        with self.learner.averaged():
-            if self.workers.leads:
-                score = self.validation.score(self.model.eval())
-                outcome = outcome.new_tensor(astuple(score))
-            self.model.train()
-        score = Score(*self.workers.sum(outcome).tolist())
-        best = score.beats(self.counters.best, IMPROVEMENT)
-        if best:
-            self.counters.best, self.counters.flat = score, 0
-            self._save_averaged("best", asdict(score))
-        else:
-            self.counters.flat += 1
-        self.journal.note_score(self.counters.step, score, best)
-
-    def _save_averaged(self, which: str, score: dict[str, float]) -> None:
-        """Keep the averaged weights: the best, or those of the end, which trainings of one budget are compared by."""
-        if self.folder is None or not self.workers.leads:
-            return
-        path: Path = getattr(self.folder, which)
-        network, device = self.model.network, self.workers.device
-        record = training_record(self.configuration, self.data, network, self.counters, score, device)
-        record = record if self.origin is None else record.after(self.origin)
-        with self.learner.averaged():
-            try:
-                save_checkpoint(path, self.model, self.configuration.network, record, self.licence)
-            except InputError as error:
-                self.journal.say(f"{error} The training goes on.")
 
     def resume(self, tensors: dict[str, Tensor], counters: dict[str, Any]) -> None:
         """Go on from a checkpoint.
