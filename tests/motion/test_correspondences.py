@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from pb4u.body.joint_names import ARM, LIMB_BONES, SIDES
 from pb4u.motion.correspondences import BVH_SOURCES, CMU, ROLES, SMPL, TARGETS, Blend
 from pb4u.motion.humanoid import Humanoid
 
@@ -23,3 +24,11 @@ def test_target_is_driven_by_known_roles(family):
 def test_targets_fit_their_skeletons(woman, smpl_body):
     for body in (woman, *(smpl_body(family) for family in ("smpl", "smplh", "smplx"))):
         assert Humanoid(body).leg_length == pytest.approx(0.8, abs=0.1)
+
+
+@pytest.mark.parametrize("family", list(LIMB_BONES))
+def test_only_the_bones_of_arms_are_taken_for_an_arm(family):
+    told = {
+        part for part, bone in LIMB_BONES[family].items() for side in SIDES[family] if ARM.search(bone.format(side))
+    }
+    assert told == {"upper_arm", "forearm", "hand"}

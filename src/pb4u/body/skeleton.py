@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pb4u.body.joint_names import LIMB_BONES, SIDES
 from pb4u.geometry.rotation import conjugate, multiply, rotate
 
-_WRISTS = ("wrist.L", "wrist.R", "left_wrist", "right_wrist")
+_WRISTS = {LIMB_BONES[family]["hand"].format(side) for family, sides in SIDES.items() for side in sides}
 
 
 @dataclass(frozen=True, eq=False)

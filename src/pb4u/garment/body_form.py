@@ -8,23 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
+from pb4u.body.joint_names import LIMB_BONES, NECK_BONES, SIDES
 from pb4u.body.skeleton import branch
 from pb4u.errors import InputError
 
-#: Bones at whose heads the measures start, in the names of each skeleton family.
-_BONE_NAMES: dict[str, dict[str, str]] = {
-    "anny": {
-        "neck": "neck01", "head": "neck02",
-        "shoulder": "upperarm01.{}", "elbow": "lowerarm01.{}", "wrist": "wrist.{}",
-        "hip": "upperleg01.{}", "knee": "lowerleg01.{}", "ankle": "foot.{}",
-    },
-    "smpl": {
-        "neck": "neck", "head": "head",
-        "shoulder": "{}_shoulder", "elbow": "{}_elbow", "wrist": "{}_wrist",
-        "hip": "{}_hip", "knee": "{}_knee", "ankle": "{}_ankle",
-    },
-}  # fmt: skip
-_SIDES = {"anny": ("L", "R"), "smpl": ("left", "right")}
+_ARM, _LEG = ("upper_arm", "forearm", "hand"), ("thigh", "shin", "foot")
 
 #: Number of support directions around the torso or a leg.
 DIRECTIONS = 72
@@ -144,10 +132,10 @@ class BodyForm:
         skeleton = body.skeleton
         self.neck: np.ndarray = skeleton.joints[skeleton.index(names["neck"])]
         self.head: np.ndarray = _share_of_bone(body, names["head"]) > 0.5
-        self.arms = tuple(self._limb([names[k].format(side) for k in ("shoulder", "elbow", "wrist")]) for side in sides)
-        self.legs = tuple(self._limb([names[k].format(side) for k in ("hip", "knee", "ankle")]) for side in sides)
+        self.arms = tuple(self._limb([names[k].format(side) for k in _ARM]) for side in sides)
+        self.legs = tuple(self._limb([names[k].format(side) for k in _LEG]) for side in sides)
         self._arm_share = sum(
-            (_share_of_bone(body, names["shoulder"].format(side)) for side in sides), np.zeros(len(body.vertices))
+            (_share_of_bone(body, names["upper_arm"].format(side)) for side in sides), np.zeros(len(body.vertices))
         )
         self.scale = body.height / 1.75
         self.arm_skin: np.ndarray = self.arms[0].belongs | self.arms[1].belongs
@@ -317,10 +305,10 @@ def _smooth_filled(values: np.ndarray, sigma: float) -> np.ndarray:
 
 def _bone_names(body: ShapedBody) -> tuple[dict[str, str], tuple[str, str]]:
     """Bone names of the joints, with a place for the side, and the names of the sides."""
-    for family, names in _BONE_NAMES.items():
-        wanted = {name.format(side) for name in names.values() for side in _SIDES[family]}
-        if wanted <= set(body.skeleton.names):
-            return names, _SIDES[family]
+    for family, sides in SIDES.items():
+        names = {**NECK_BONES[family], **{part: LIMB_BONES[family][part] for part in _ARM + _LEG}}
+        if {name.format(side) for name in names.values() for side in sides} <= set(body.skeleton.names):
+            return names, sides
     raise InputError(
         f'The built-in garments cannot be fitted to body "{body.name}" (family "{body.family}"): its skeleton lacks '
         f"the named shoulder, elbow, wrist, hip, knee, ankle and neck joints; give a garment file instead."

@@ -9,7 +9,6 @@ and not where the body is inside itself.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,6 +18,7 @@ import numpy as np
 import torch
 
 from pb4u.body.body_model import PosedBody
+from pb4u.body.joint_names import ARM
 from pb4u.body.limb_bones import limb_bones
 from pb4u.collision.crossings import crossings, segments_through_faces
 from pb4u.collision.nearest_surface import TriangleSurface
@@ -27,9 +27,6 @@ from pb4u.measures.overlaps import overlapping_faces, winding_number
 from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
-
-_ARM = re.compile("arm|elbow|wrist|(left|right)_shoulder")
-"""In the names of an arm's bones, as Anny and the SMPL family have them; Anny's shoulders are not swung out."""
 
 _BARE, _OUT = 1e-3, 3e-3
 """Skin [m^2] of a limb that lies so far [m] over cloth which it crosses from which on it has come through: 3 cm
@@ -196,7 +193,7 @@ class LimbWatch:
         else:
             why, way = "its triangles are small enough for it", "--model solver"
             way = "a slower motion or more --fps" if model == "solver" else way
-        arms = " or --arms-away 8" if _ARM.search(bone) else ""
+        arms = " or --arms-away 8" if ARM.search(bone) else ""
         return f"Frame {frame}: {bone} has come through the cloth; {why}: try {way}{arms}."
 
 
@@ -248,7 +245,7 @@ def limbs_sentence(found: Sequence[dict[str, Any]], frames: int) -> str | None:
     first = min(each["first_frame"] for each in found)
     told = ", ".join(f"{each['bone']} ({each['frames']})" for each in found[:4])
     more = f" and {len(found) - 4} more" if len(found) > 4 else ""
-    arms = "; --arms-away 8 holds arms off the body" if any(_ARM.search(each["bone"]) for each in found) else ""
+    arms = "; --arms-away 8 holds arms off the body" if any(ARM.search(each["bone"]) for each in found) else ""
     enough = max((each["triangles"] or 0 for each in found), default=0)
     finer = f"; --triangles {enough} makes the cloth fine enough for them" if enough else ""
     return (

@@ -10,6 +10,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
+from pb4u.body.joint_names import LIMB_BONES, SIDES
+
 TORSO_ROLES = ("pelvis", "spine_lower", "spine_middle", "spine_upper", "neck_lower", "neck_upper", "head")
 LIMB_ROLES = ("clavicle", "upper_arm", "forearm", "forearm_end", "hand", "thigh", "shin", "foot", "toes")
 ROLES = TORSO_ROLES + tuple(f"{role}.{side}" for side in "LR" for role in LIMB_ROLES)
@@ -118,18 +120,17 @@ CMU, _CGSPEED, _MOTIONBUILDER, _POSER, _MIXAMO, SMPL = _recorded_skeletons()
 BVH_SOURCES = (_CGSPEED, _MIXAMO, _MOTIONBUILDER, _POSER)
 
 
-# Limb role -> bone whose head marks the upper end of that limb segment.
-_ANNY_JOINTS = {
-    "clavicle": "clavicle", "upper_arm": "upperarm01", "forearm": "lowerarm01", "hand": "wrist",
-    "thigh": "upperleg01", "shin": "lowerleg01", "foot": "foot", "toes": "toe2-1",
-}  # fmt: skip
-_SMPL_JOINTS = {
-    "clavicle": "collar", "upper_arm": "shoulder", "forearm": "elbow", "hand": "wrist",
-    "thigh": "hip", "shin": "knee", "foot": "ankle", "toes": "foot",
-}  # fmt: skip
+def _joints(family: str) -> dict[str, str]:
+    """Limb role -> bone whose head marks the upper end of that limb segment."""
+    return {
+        f"{role}.{side}": bone.format(word)
+        for side, word in zip("LR", SIDES[family], strict=True)
+        for role, bone in LIMB_BONES[family].items()
+    }
 
 
 def _anny() -> TargetMap:
+    joints = _joints("anny")
     bones: dict[str, Part] = {
         "root": "pelvis", "spine05": "spine_lower", "spine04": Blend("spine_lower", "spine_middle"),
         "spine03": "spine_middle", "spine02": Blend("spine_middle", "spine_upper"), "spine01": "spine_upper",
@@ -137,7 +138,7 @@ def _anny() -> TargetMap:
     }  # fmt: skip
     for side in "LR":
         bones |= {f"toe{k}-1.{side}": f"toes.{side}" for k in range(1, 6)}
-        bones |= {f"{bone}.{side}": f"{role}.{side}" for role, bone in _ANNY_JOINTS.items()}
+        bones |= {bone: role for role, bone in joints.items() if role.endswith(side)}
         halves = {"upperarm02": "upper_arm", "upperleg02": "thigh", "lowerleg02": "shin"}
         bones |= {f"{bone}.{side}": f"{role}.{side}" for bone, role in halves.items()}
         bones |= {
@@ -145,13 +146,11 @@ def _anny() -> TargetMap:
             f"shoulder01.{side}": Blend(f"clavicle.{side}", f"upper_arm.{side}", 0.35),
             f"lowerarm02.{side}": Blend(f"forearm.{side}", f"forearm_end.{side}"),
         }
-    return TargetMap(bones, {f"{r}.{side}": f"{bone}.{side}" for side in "LR" for r, bone in _ANNY_JOINTS.items()})
+    return TargetMap(bones, joints)
 
 
 def _smpl() -> TargetMap:
-    joints = {
-        f"{r}.{s}": f"{word}_{bone}" for s, word in (("L", "left"), ("R", "right")) for r, bone in _SMPL_JOINTS.items()
-    }
+    joints = _joints("smpl")
     bones: dict[str, Part] = {
         "pelvis": "pelvis", "spine1": "spine_lower", "spine2": "spine_middle", "spine3": "spine_upper",
         "neck": Blend("neck_lower", "neck_upper"), "head": "head", **{bone: role for role, bone in joints.items()},
