@@ -37,10 +37,10 @@ import torch
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
+from pb4u.geometry.topology import joined_indices, offsets
 from pb4u.geometry.triangle_mesh import edge_lengths
 from pb4u.measures.metrics import ENERGIES, measure
 from pb4u.scene.assembly import make_scene
-from pb4u.scene.author_mesh import joined_indices, offsets
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory

@@ -14,9 +14,9 @@ from pb4u.export.panels import SewnPanels, seam_edges, uv_islands
 from pb4u.export.registry import export
 from pb4u.garment.material import MATERIALS
 from pb4u.geometry.obj_file import read_obj
+from pb4u.geometry.topology import joined_indices
 from pb4u.pattern.mesh import PatternMesh, mesh_pattern
 from pb4u.pattern.sewing import sewn_garment
-from pb4u.scene.author_mesh import joined_indices
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
 
 

@@ -24,7 +24,7 @@ from pb4u.body.contact_region import reachable
 from pb4u.body.skeleton import Skeleton, hand_bones
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
-from pb4u.geometry.topology import Topology
+from pb4u.geometry.topology import Topology, joined_indices, offsets
 from pb4u.io.gltf_file import GltfFile, read_gltf
 from pb4u.io.reading_limits import names_text, refusing
 
@@ -164,18 +164,17 @@ def _joined(
 ) -> CharacterSurface:
     """All parts in the bind pose as one surface."""
     width = max(part.joints.shape[1] for part in parts)
-    vertices, faces, indices, weights, count = [], [], [], [], 0
+    vertices, indices, weights = [], [], []
     for part in parts:
         at = places[part.skin]
         shape = part.vertices + np.einsum("k,kvc->vc", part.morphed, part.targets)
         vertices.append(shape @ at[:3, :3].T + at[:3, 3])
-        faces.append(part.faces + count)
         table = np.array([bone_of[part.skin, k] for k in range(len(nodes[part.skin]))])
         rest = ((0, 0), (0, width - part.joints.shape[1]))
         indices.append(np.pad(table[part.joints], rest))
         weights.append(np.pad(part.weights, rest))
-        count += len(part.vertices)
-    return CharacterSurface(*(np.concatenate(each) for each in (vertices, faces, indices, weights)))
+    faces = joined_indices([part.faces for part in parts], offsets(vertices))
+    return CharacterSurface(np.concatenate(vertices), faces, np.concatenate(indices), np.concatenate(weights))
 
 
 def _morphs(parts: list[_Part], places: Mapping[int, np.ndarray], world: np.ndarray, welded: np.ndarray) -> list[Morph]:
@@ -229,10 +228,10 @@ def _parts(file: GltfFile) -> list[_Part]:
             material = file.entries("materials")[primitive["material"]] if "material" in primitive else {}
             names = (entry.get("name", ""), mesh.get("name", ""), material.get("name", ""))
             own = np.resize(morphed, len(targets)) if len(morphed) else np.zeros(len(targets))
-            offsets = np.array(targets, dtype=np.float64).reshape(len(targets), len(vertices), 3)
-            if not np.isfinite(offsets).all():
+            moved = np.array(targets, dtype=np.float64).reshape(len(targets), len(vertices), 3)
+            if not np.isfinite(moved).all():
                 raise ValueError("a morph target is not finite")
-            part = (names, node, entry["skin"], vertices, faces, joints, weights / total, offsets, own)
+            part = (names, node, entry["skin"], vertices, faces, joints, weights / total, moved, own)
             found.append(_Part(*part))
     return found
 

@@ -11,7 +11,7 @@ from pb4u.errors import InputError
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.untangling import untangle
-from pb4u.geometry.topology import neighbour_mean
+from pb4u.geometry.topology import joined_indices, neighbour_mean, offsets
 from pb4u.geometry.triangle_mesh import area_weighted_normals
 
 LAYER_GAP = 3e-3
@@ -57,14 +57,10 @@ def layered(garments: Sequence[Garment], body: RestBody) -> tuple[np.ndarray, ..
             places[inner] = _laid_under(garments[inner], places[inner], garments[outer], places[outer], body)
     for outer in range(1, len(garments)):
         places[outer] = _laid_over(garments[outer], places[outer], garments[:outer], places[:outer])
-    stops = np.cumsum([len(vertices) for vertices in places])
-    faces = np.concatenate(
-        [garment.faces + first for garment, first in zip(garments, [0, *stops[:-1].tolist()], strict=True)]
-    )
-    owner = np.repeat(np.arange(len(garments)), [len(vertices) for vertices in places])
+    faces, owner = joined_faces(garments)
     # Distances are the start's to widen, which knows what the pins hold in place.
     parted = untangle(np.concatenate(places), faces, mobility_of(owner, len(garments)), gap=0.0)
-    return tuple(np.split(parted.vertices, stops[:-1])) if parted.is_free else tuple(places)
+    return tuple(np.split(parted.vertices, offsets(places)[1:-1])) if parted.is_free else tuple(places)
 
 
 def worn_order(garments: Sequence[Garment], tucked: Sequence[bool]) -> list[int]:
@@ -94,6 +90,17 @@ def worn_order(garments: Sequence[Garment], tucked: Sequence[bool]) -> list[int]
             order.remove(which)
             order.insert(order.index(holders[0]), which)
     return order
+
+
+def joined_faces(garments: Sequence[Garment]) -> tuple[np.ndarray, np.ndarray]:
+    """Faces (faces, 3) int64 of garments whose vertices come one after the other, and the garment (vertices,) of each.
+
+    Args:
+        garments: in the order of their vertices.
+    """
+    places = [garment.vertices for garment in garments]
+    owner = np.repeat(np.arange(len(garments)), [len(vertices) for vertices in places])
+    return joined_indices([garment.faces for garment in garments], offsets(places)), owner
 
 
 def mobility_of(vertex_garment: np.ndarray, count: int) -> np.ndarray:

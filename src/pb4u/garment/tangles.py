@@ -13,7 +13,7 @@ from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.errors import InputError
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
-from pb4u.garment.layering import layered, mobility_of
+from pb4u.garment.layering import joined_faces, layered, mobility_of
 from pb4u.garment.untangling import untangle
 
 
@@ -93,17 +93,9 @@ class OutfitCrossings:
 
 
 def _found(garments: Sequence[Garment], places: Sequence[np.ndarray]) -> tuple[Tangle, ...]:
-    vertices, faces, owner = np.concatenate(places), *_joined(garments)
+    vertices, faces, owner = np.concatenate(places), *joined_faces(garments)
     pairs = self_crossings(vertices.astype(np.float32), faces, sharing=True)
     return tangles([garment.name for garment in garments], owner, vertices, faces, pairs)
-
-
-def _joined(garments: Sequence[Garment]) -> tuple[np.ndarray, np.ndarray]:
-    """Faces (faces, 3) of garments whose vertices come one after the other, and the garment (vertices,) of each."""
-    counts = [len(garment.vertices) for garment in garments]
-    firsts = np.cumsum([0, *counts[:-1]])
-    faces = np.concatenate([garment.faces + first for garment, first in zip(garments, firsts, strict=True)])
-    return faces, np.repeat(np.arange(len(garments)), counts)
 
 
 def untangled_start(
@@ -127,7 +119,7 @@ def untangled_start(
     Raises:
         InputError: some of it cannot be untangled.
     """
-    faces, owner = _joined(garments)
+    faces, owner = joined_faces(garments)
     pinned = np.concatenate([garment.pinned for garment in garments])
     mobility = np.where(pinned, 0.0, mobility_of(owner, len(garments)))
     start = untangle(positions, faces, mobility, tree)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pb4u.errors import InputError, warn
+from pb4u.geometry.topology import offsets
 from pb4u.io.atomic_file import replace_file
 from pb4u.io.reading_limits import parse_json
 
@@ -73,7 +74,7 @@ class Appearances:
         listed = tuple(each for part in known for each in part.listed)
         if not listed:
             return None
-        starts = np.cumsum([0, *(len(part.listed) for part in known)])
+        starts = offsets([part.listed for part in known])
         of_face = [np.where(part.of_face < 0, -1, part.of_face + k) for part, k in zip(known, starts, strict=False)]
         return Appearances(listed, np.concatenate(of_face))
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from pb4u.errors import InputError
 from pb4u.geometry.appearance import Appearance, Appearances, as_png
+from pb4u.geometry.topology import joined_indices, offsets
 from pb4u.io.reading_limits import refusing
 
 _TRIMESH = "pb4u.geometry.mesh_file:read_with_trimesh"
@@ -82,9 +83,9 @@ def read_with_trimesh(path: Path) -> PolygonMesh:
     parts = [part for part in parts if isinstance(part, trimesh.Trimesh) and len(part.faces)]
     if not parts:
         raise InputError(f"{path} has no faces: export it as a polygon mesh.")
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
     vertices = np.concatenate([part.vertices for part in parts]).astype(np.float64)
-    faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)]).astype(np.int64)
+    starts = offsets([part.vertices for part in parts])
+    faces = joined_indices([part.faces for part in parts], starts).astype(np.int64)
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(bad):
         raise InputError(

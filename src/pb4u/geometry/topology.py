@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -176,6 +177,25 @@ class Topology:
     def is_closed(self) -> bool:
         """Whether every edge has exactly two faces."""
         return bool((self.edge_face_counts == 2).all())
+
+
+def offsets(parts: Sequence[Sized]) -> list[int]:
+    """Index of the first row of each part when the parts are concatenated, and the total.
+
+    Args:
+        parts: parts with a length.
+    """
+    return [0, *np.cumsum([len(part) for part in parts]).tolist()]
+
+
+def joined_indices(parts: Sequence[np.ndarray], starts: Sequence[int]) -> np.ndarray:
+    """Concatenated index arrays (sum of rows, ...), `starts[k]` added to the indices of part k.
+
+    Args:
+        parts: (rows, ...) int64 indices of each part.
+        starts: numbers to add; may be longer than `parts`.
+    """
+    return np.concatenate([part + start for part, start in zip(parts, starts, strict=False)])
 
 
 def connected_labels(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence, Sized
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pb4u.garment.garment import Garment
 from pb4u.geometry.appearance import Appearances
+from pb4u.geometry.topology import joined_indices, offsets
 from pb4u.geometry.triangulation import triangulate
 
 
@@ -175,25 +176,6 @@ class SourceTrack:
             else None,
             Appearances.joined([track.appearances for track in tracks], [len(track.faces) for track in tracks]),
         )
-
-
-def offsets(parts: Sequence[Sized]) -> list[int]:
-    """Index of the first row of each part when the parts are concatenated, and the total.
-
-    Args:
-        parts: parts with a length.
-    """
-    return [0, *np.cumsum([len(part) for part in parts]).tolist()]
-
-
-def joined_indices(parts: Sequence[np.ndarray], starts: Sequence[int]) -> np.ndarray:
-    """Concatenated index arrays (sum of rows, ...), `starts[k]` added to the indices of part k.
-
-    Args:
-        parts: (rows, ...) int64 indices of each part.
-        starts: numbers to add; may be longer than `parts`.
-    """
-    return np.concatenate([part + start for part, start in zip(parts, starts, strict=False)])
 
 
 def joined_uvs(

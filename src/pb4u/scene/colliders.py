@@ -23,6 +23,7 @@ from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.collision.rooms import Rooms
 from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.collision.wide_tree import WideTree
+from pb4u.geometry.topology import offsets
 
 if TYPE_CHECKING:
     from pb4u.scene.packed import PackedGarments
@@ -319,8 +320,7 @@ def pack_colliders(
         ground_height: height of the ground plane [m], or None.
         surfaces: the searchable surface of each world's bodies, where they are already made.
     """
-    offsets = np.concatenate([[0], np.cumsum([len(part) for part in contact])]).tolist()
-    all_faces = torch.cat([part + offset for part, offset in zip(faces, offsets, strict=False)])
+    all_faces = torch.cat([part + start for part, start in zip(faces, offsets(contact), strict=False)])
     all_contact = torch.cat(list(contact))
     counts = torch.tensor([len(part) for part in contact], device=all_contact.device)
     owner = torch.tensor(list(worlds), device=all_contact.device).repeat_interleave(counts)

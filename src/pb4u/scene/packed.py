@@ -21,6 +21,7 @@ from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
+from pb4u.geometry.topology import joined_indices, offsets
 from pb4u.geometry.triangle_mesh import laid_flat
 from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.threads import to_device
@@ -253,14 +254,13 @@ def pack(
     Raises:
         InputError: a rest triangle is degenerate.
     """
-    offsets = np.concatenate([[0], np.cumsum([len(g.vertices) for g in garments])]).astype(int)
+    starts = offsets([g.vertices for g in garments])
 
     def real(parts: Sequence[np.ndarray]) -> Tensor:
         return torch.as_tensor(np.concatenate(parts), dtype=dtype, device=device)
 
     def index(parts: Sequence[np.ndarray]) -> Tensor:
-        shifted = [np.asarray(p) + o for p, o in zip(parts, offsets[:-1], strict=True)]
-        return torch.as_tensor(np.concatenate(shifted), dtype=torch.int64, device=device)
+        return torch.as_tensor(joined_indices(parts, starts), dtype=torch.int64, device=device)
 
     def owner(counts: Sequence[int]) -> Tensor:
         return torch.as_tensor(np.repeat(np.arange(len(garments)), counts), dtype=torch.int64, device=device)
@@ -288,7 +288,7 @@ def pack(
         face_garment=owner([len(g.faces) for g in garments]),
         hinge_garment=owner([len(g.topology.hinges) for g in garments]),
         edge_garment=owner([len(g.topology.edges) for g in garments]),
-        vertex_offsets=tuple(offsets.tolist()),
+        vertex_offsets=tuple(starts),
         mean_edge_lengths=tuple(g.mean_edge_length for g in garments),
         garments=tuple(garments),
         worlds=tuple(range(len(garments)) if worlds is None else worlds),

@@ -12,7 +12,8 @@ import numpy as np
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.geometry.appearance import Appearances
-from pb4u.scene.author_mesh import Polygons, SourceTrack, joined_indices, joined_uvs, offsets
+from pb4u.geometry.topology import joined_indices, offsets
+from pb4u.scene.author_mesh import Polygons, SourceTrack, joined_uvs
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory_file import TrajectoryWriter, encoded, read_members
 
