@@ -13,6 +13,7 @@ from torch import Tensor
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.errors import InputError, warn
+from pb4u.geometry.low_pass import is_sampled_enough, low_passed
 from pb4u.geometry.mesh_arrays import as_numbers, checked_faces
 
 DEFAULT_FPS = 30.0
@@ -104,14 +105,9 @@ class VertexSequence(AnimatedBody):
         Args:
             cutoff: frequency from which on motion is taken out [Hz].
         """
-        from scipy.signal import butter, sosfiltfilt
-
-        count = len(self.vertices)
-        if self.stored_fps <= 2.5 * cutoff or count < 10:
+        if not is_sampled_enough(len(self.vertices), self.stored_fps, cutoff):
             return self
-        sections = butter(2, cutoff, fs=self.stored_fps, output="sos")
-        reach = min(count - 1, round(3.0 * self.stored_fps / cutoff))
-        calm = sosfiltfilt(sections, self.vertices, axis=0, padlen=reach).astype(np.float32)
+        calm = low_passed(self.vertices, self.stored_fps, cutoff).astype(np.float32)
         return self._with(vertices=calm, rest_vertices=np.asarray(calm[0], dtype=np.float64), from_video=False)
 
     def with_contact(self, contact: np.ndarray) -> VertexSequence:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d
 
 from pb4u.body.skeleton import joint_positions, local_rotations, world_rotations
+from pb4u.geometry.low_pass import is_sampled_enough, low_passed
 from pb4u.geometry.rotation import between, multiply
 from pb4u.motion.curves import soft_ramp
 from pb4u.motion.recording import Recording
@@ -38,7 +39,7 @@ def steadied(recording: Recording) -> Recording:
     fps, frames = recording.poses.fps, len(recording.poses)
     if frames < 2:
         return recording
-    smooth = _low_passed(recording) if fps > 2.5 * CUTOFF and frames > 9 else recording
+    smooth = _smoothed(recording) if is_sampled_enough(frames, fps, CUTOFF) else recording
     kept = smooth
     for _ in range(_ROUNDS):  # a foot that slides is seen to stand once the body slides no more
         stands, velocity = _standing(kept)
@@ -57,20 +58,16 @@ def steadied(recording: Recording) -> Recording:
     return replace(kept, notes=(*recording.notes, note))
 
 
-def _low_passed(recording: Recording) -> Recording:
+def _smoothed(recording: Recording) -> Recording:
     """Rotations of the joints from their parents, and travel, without what is faster than `CUTOFF`."""
-    from scipy.signal import butter, sosfiltfilt
-
     poses, parents = recording.poses, recording.skeleton.parents
     local = local_rotations(poses.rotations, parents)
     # A quaternion and its negative are one rotation: neighbours in time take the nearer sign.
     signs = np.where(np.sum(local[1:] * local[:-1], axis=-1) < 0.0, -1.0, 1.0)
     local[1:] *= np.cumprod(signs, axis=0)[..., None]
-    sections = butter(2, CUTOFF, fs=poses.fps, output="sos")
-    reach = min(len(poses) - 1, round(poses.fps / CUTOFF * 3))
-    local = sosfiltfilt(sections, local, axis=0, padlen=reach)
+    local = low_passed(local, poses.fps, CUTOFF)
     local /= np.linalg.norm(local, axis=-1, keepdims=True)
-    roots = sosfiltfilt(sections, poses.root_positions, axis=0, padlen=reach)
+    roots = low_passed(poses.root_positions, poses.fps, CUTOFF)
     return replace(recording, poses=replace(poses, rotations=world_rotations(local, parents), root_positions=roots))
 
 
