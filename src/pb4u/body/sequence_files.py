@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import struct
 from functools import partial
 from pathlib import Path
 
@@ -17,13 +16,11 @@ from pb4u.geometry.obj_file import read_obj_vertices
 from pb4u.geometry.triangulation import triangulate
 from pb4u.io.array_archive import member_names, read_arrays
 from pb4u.io.atomic_file import replace_file
+from pb4u.io.point_cache import MDD_HEADER, PC2_HEADER, PC2_MAGIC
 from pb4u.io.restricted_pickle import load_pickle
 from pb4u.io.stored_numbers import Layout, read_members, unrounded_rate
 
 _MESH_SUFFIXES = (".obj", ".ply")
-_PC2_MAGIC = b"POINTCACHE2\0"
-_PC2_HEADER = struct.Struct("<12siiffi")
-_MDD_HEADER = struct.Struct(">ii")
 
 
 def write_vertex_sequence(
@@ -200,22 +197,22 @@ def _read_mesh_and_cache(path: Path) -> tuple[np.ndarray, np.ndarray, float | No
 def _read_pc2(path: Path) -> tuple[np.ndarray, float | None]:
     """Positions (frames, points, 3) float32, mapped from the file, and frames per second where it states them."""
     with path.open("rb") as file:
-        header = file.read(_PC2_HEADER.size)
-    if len(header) < _PC2_HEADER.size or not header.startswith(_PC2_MAGIC):
+        header = file.read(PC2_HEADER.size)
+    if len(header) < PC2_HEADER.size or not header.startswith(PC2_MAGIC):
         raise InputError(f'{path}: not a PC2 point cache, it does not begin with "POINTCACHE2"; export it again.')
-    _, _, points, _, _, frames = _PC2_HEADER.unpack(header)
+    _, _, points, _, _, frames = PC2_HEADER.unpack(header)
     # Its sample rate counts samples per frame of a scene whose frame rate the file does not hold.
-    return _map_points(path, _PC2_HEADER.size, frames, points, "<f4"), None
+    return _map_points(path, PC2_HEADER.size, frames, points, "<f4"), None
 
 
 def _read_mdd(path: Path) -> tuple[np.ndarray, float | None]:
     with path.open("rb") as file:
-        header = file.read(_MDD_HEADER.size)
-        if len(header) < _MDD_HEADER.size:
+        header = file.read(MDD_HEADER.size)
+        if len(header) < MDD_HEADER.size:
             raise InputError(f"{path}: not an MDD point cache, it ends in its header; export it again.")
-        frames, points = _MDD_HEADER.unpack(header)
-    positions = _map_points(path, _MDD_HEADER.size + 4 * max(frames, 0), frames, points, ">f4")
-    times = np.memmap(path, dtype=">f4", mode="r", offset=_MDD_HEADER.size, shape=(frames,))
+        frames, points = MDD_HEADER.unpack(header)
+    positions = _map_points(path, MDD_HEADER.size + 4 * max(frames, 0), frames, points, ">f4")
+    times = np.memmap(path, dtype=">f4", mode="r", offset=MDD_HEADER.size, shape=(frames,))
     duration = float(times[-1] - times[0])
     return positions, unrounded_rate((frames - 1) / duration) if duration > 0 else None
 

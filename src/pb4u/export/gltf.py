@@ -8,9 +8,7 @@ Engines that play no morph targets take bones instead (`bone_baking`).
 
 from __future__ import annotations
 
-import json
 import shutil
-import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -26,6 +24,7 @@ from pb4u.export.sewing_lines import sewn_parts
 from pb4u.export.shading import SKIN, ClothPart
 from pb4u.export.shape_basis import ShapeBasis, fit_shapes
 from pb4u.geometry.appearance import image_suffix
+from pb4u.io.gltf_file import FLOAT, UNSIGNED_INT, UNSIGNED_SHORT, glb_head
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.author_mesh import split_seams
 from pb4u.scene.trajectory import Trajectory
@@ -34,7 +33,6 @@ _TOLERANCE = 1e-3
 """Largest distance of a vertex from the trajectory [m]: less than can be seen beside a body."""
 _MOST_TARGETS = 256
 """Texture layers that every WebGL 2 device has."""
-_FLOAT, _UNSIGNED_INT, _UNSIGNED_SHORT = 5126, 5125, 5123
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 
@@ -90,13 +88,8 @@ def _part(progress: Progress, before: int, passes: int) -> Progress:
 
 
 def _assemble(document: dict[str, Any], binary: Path, path: Path) -> None:
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    size = binary.stat().st_size
     with path.open("wb") as out, binary.open("rb") as data:
-        out.write(struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + size))
-        out.write(struct.pack("<I4s", len(text), b"JSON") + text)
-        out.write(struct.pack("<I4s", size, b"BIN\0"))
+        out.write(glb_head(document, binary.stat().st_size))
         shutil.copyfileobj(data, out, 1 << 20)
 
 
@@ -206,14 +199,14 @@ class _Document:
         """The panel of each written vertex, a corner of faces `corners` (faces, 3); -1 of none."""
         of_written = np.full(len(of_vertex), -1.0, dtype="<f4")
         of_written[corners] = panels.of_face[:, None]
-        return self._add(of_written, "SCALAR", _FLOAT, _ARRAY_BUFFER)
+        return self._add(of_written, "SCALAR", FLOAT, _ARRAY_BUFFER)
 
     def _joints(self, baked: BakedBones, of_vertex: np.ndarray) -> dict[str, int]:
         """The bones of each written vertex and their weights."""
         joints, weights = baked.joints[of_vertex].astype("<u2"), baked.weights[of_vertex].astype("<f4")
         return {
-            "JOINTS_0": self._add(joints, "VEC4", _UNSIGNED_SHORT, _ARRAY_BUFFER),
-            "WEIGHTS_0": self._add(weights, "VEC4", _FLOAT, _ARRAY_BUFFER),
+            "JOINTS_0": self._add(joints, "VEC4", UNSIGNED_SHORT, _ARRAY_BUFFER),
+            "WEIGHTS_0": self._add(weights, "VEC4", FLOAT, _ARRAY_BUFFER),
         }
 
     def _primitives(
@@ -224,7 +217,7 @@ class _Document:
             {
                 "attributes": attributes,
                 "indices": self._add(
-                    corners[look.faces].reshape(-1).astype("<u4"), "SCALAR", _UNSIGNED_INT, _ELEMENT_ARRAY_BUFFER
+                    corners[look.faces].reshape(-1).astype("<u4"), "SCALAR", UNSIGNED_INT, _ELEMENT_ARRAY_BUFFER
                 ),
                 "material": self._material(look),
             }
@@ -251,7 +244,7 @@ class _Document:
         inverse[:, 3, :3] = -baked.centres  # column by column
         skin = {
             "joints": list(range(first, first + count)),
-            "inverseBindMatrices": self._add(inverse, "MAT4", _FLOAT),
+            "inverseBindMatrices": self._add(inverse, "MAT4", FLOAT),
             "skeleton": first - 1,
         }
         nodes[node]["skin"] = len(self._json.setdefault("skins", []))
@@ -274,9 +267,9 @@ class _Document:
 
     def _animate(self, node: int, path: str, values: np.ndarray, kind: str) -> None:
         if self._times is None:
-            self._times = self._add(self._seconds, "SCALAR", _FLOAT)
+            self._times = self._add(self._seconds, "SCALAR", FLOAT)
             self._json["accessors"][self._times] |= {"min": [0.0], "max": [float(self._seconds[-1])]}
-        output = self._add(values.astype("<f4"), kind, _FLOAT)
+        output = self._add(values.astype("<f4"), kind, FLOAT)
         target = {"node": node, "path": path}
         self._channels.append({"sampler": len(self._samplers), "target": target})
         self._samplers.append({"input": self._times, "output": output, "interpolation": "LINEAR"})
@@ -307,7 +300,7 @@ class _Document:
 
     def _vectors(self, values: np.ndarray, bounded: bool = False) -> int:
         values = np.ascontiguousarray(values, dtype="<f4")
-        accessor = self._add(values, f"VEC{values.shape[1]}", _FLOAT, _ARRAY_BUFFER)
+        accessor = self._add(values, f"VEC{values.shape[1]}", FLOAT, _ARRAY_BUFFER)
         if bounded:
             bounds = {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
             self._json["accessors"][accessor] |= bounds

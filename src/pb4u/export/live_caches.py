@@ -19,9 +19,9 @@ from typing import BinaryIO
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.export.mesh_sequence import pc2_header
 from pb4u.export.selection import source_garments, source_motion
 from pb4u.io.atomic_file import LOCK, locked
+from pb4u.io.point_cache import pc2_header
 from pb4u.scene.trajectory import Frame, TrajectoryHeader
 
 PROGRESS = "progress.jsonl"

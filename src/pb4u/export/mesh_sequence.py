@@ -10,7 +10,6 @@ rate of the scene has to be set to that of the trajectory: PC2 holds none, and B
 from __future__ import annotations
 
 import re
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from pb4u.errors import InputError
 from pb4u.export.finite_frames import held_frames
 from pb4u.export.panels import SewnPanels
 from pb4u.geometry.obj_file import group_name
+from pb4u.io.point_cache import MDD_HEADER, pc2_header
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.trajectory import Trajectory
 
@@ -120,16 +120,6 @@ def write_pc2(trajectory: Trajectory, path: Path, progress: Progress = no_progre
     _write(trajectory, path, pc2_header(points, samples), "<f4", progress)
 
 
-def pc2_header(points: int, samples: int) -> bytes:
-    """The bytes before the vertices of a PC2: magic, version 1, points, first frame 0, sampling 1, samples.
-
-    Args:
-        points: vertices of each sample.
-        samples: number of samples.
-    """
-    return struct.pack("<12siiffi", b"POINTCACHE2\0", 1, points, 0.0, 1.0, samples)
-
-
 def write_mdd(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:
     """Write MDD (LightWave), big-endian: samples, points, the time of each sample [s], then the vertices.
 
@@ -140,7 +130,7 @@ def write_mdd(trajectory: Trajectory, path: Path, progress: Progress = no_progre
     """
     samples, points = trajectory.positions.shape[:2]
     times = (np.arange(samples) / trajectory.fps).astype(">f4")
-    header = struct.pack(">ii", samples, points) + times.tobytes()
+    header = MDD_HEADER.pack(samples, points) + times.tobytes()
     _write(trajectory, path, header, ">f4", progress)
 
 

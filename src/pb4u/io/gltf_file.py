@@ -6,6 +6,7 @@ Source: Khronos, glTF 2.0 specification, 3.6 (accessors) and 4.4 (GLB).
 from __future__ import annotations
 
 import base64
+import json
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,9 @@ from pb4u.io.reading_limits import parse_json, refusing
 
 SUFFIXES = (".glb", ".gltf", ".vrm")
 _MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
-_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+UNSIGNED_BYTE, UNSIGNED_SHORT, UNSIGNED_INT, FLOAT = 5121, 5123, 5125, 5126
+"""Types of the components of an array."""
+_TYPES = {5120: "<i1", UNSIGNED_BYTE: "<u1", 5122: "<i2", UNSIGNED_SHORT: "<u2", UNSIGNED_INT: "<u4", FLOAT: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 # Vertices and indices are packed by these in ways that are not read.
 _PACKED = {
@@ -129,6 +132,19 @@ def read_gltf(path: Path) -> GltfFile:
                 raise InputError(f"{path} is cut short: a buffer has {len(held):,} of {buffer['byteLength']:,} bytes.")
             buffers.append(held)
         return GltfFile(path, document, tuple(buffers))
+
+
+def glb_head(document: dict[str, Any], size: int) -> bytes:
+    """The bytes of a GLB before those of its buffer.
+
+    Args:
+        document: the JSON.
+        size: bytes of the buffer, a multiple of 4.
+    """
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<5I", _MAGIC, 2, 12 + 8 + len(text) + 8 + size, len(text), _JSON)
+    return head + text + struct.pack("<2I", size, _BINARY)
 
 
 def _parted(path: Path, content: bytes) -> tuple[Any, bytes]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -12,13 +10,12 @@ import numpy as np
 
 from pb4u.export.sewing_lines import ABOVE, SewingLines, sewing_lines
 from pb4u.export.shading import cloth_parts, garment_colours, unit_normals
+from pb4u.io.gltf_file import FLOAT, UNSIGNED_BYTE, UNSIGNED_INT, UNSIGNED_SHORT, glb_head
 
 if TYPE_CHECKING:
     from viser import GlbHandle, LineSegmentsHandle, MeshHandle, SceneApi
 
     from pb4u.scene.trajectory import TrajectoryHeader
-
-_FLOAT, _UNSIGNED_BYTE, _UNSIGNED_SHORT, _UNSIGNED_INT = 5126, 5121, 5123, 5125
 
 
 class Surface(ABC):
@@ -184,7 +181,7 @@ def coloured_glb(positions: np.ndarray, colours: np.ndarray, faces: np.ndarray, 
     """
     short = len(positions) < 65536
     indices = np.ascontiguousarray(faces, dtype="<u2" if short else "<u4").tobytes()
-    index_kind = _UNSIGNED_SHORT if short else _UNSIGNED_INT
+    index_kind = UNSIGNED_SHORT if short else UNSIGNED_INT
     alpha = {"alphaMode": "BLEND"} if transparent else {}
     points = np.ascontiguousarray(positions, dtype="<f4")
     parts = [points.tobytes(), np.ascontiguousarray(colours, dtype=np.uint8).tobytes(), indices]
@@ -209,22 +206,17 @@ def coloured_glb(positions: np.ndarray, colours: np.ndarray, faces: np.ndarray, 
         ],
         "accessors": [
             {
-                "bufferView": 0, "componentType": _FLOAT, "count": count, "type": "VEC3",
+                "bufferView": 0, "componentType": FLOAT, "count": count, "type": "VEC3",
                 "min": points.min(axis=0).tolist(), "max": points.max(axis=0).tolist(),
             },
             {
-                "bufferView": 1, "componentType": _UNSIGNED_BYTE, "normalized": True, "count": count,
+                "bufferView": 1, "componentType": UNSIGNED_BYTE, "normalized": True, "count": count,
                 "type": "VEC4",
             },
             {"bufferView": 2, "componentType": index_kind, "count": int(np.size(faces)), "type": "SCALAR"},
-            {"componentType": _FLOAT, "count": count, "type": "VEC3"},
+            {"componentType": FLOAT, "count": count, "type": "VEC3"},
         ],
     }  # fmt: skip
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
     binary = b"".join(parts)
     binary += b"\0" * (-len(binary) % 4)
-    head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(binary))
-    return b"".join(
-        [head, struct.pack("<I4s", len(text), b"JSON"), text, struct.pack("<I4s", len(binary), b"BIN\0"), binary]
-    )
+    return glb_head(document, len(binary)) + binary
