@@ -164,7 +164,7 @@ class ShapedBody:
         Args:
             poses: world rotations and places, frame by frame.
         """
-        return PosedBody(self, poses)
+        return _PosedSkeleton(self, poses)
 
     def with_contact(self, contact: np.ndarray) -> ShapedBody:
         """The same body with other vertices left out of contact: `contact` (vertices,) bool is False there.
@@ -181,41 +181,31 @@ class ShapedBody:
 
 
 class PosedBody(AnimatedBody):
-    """A shaped body moving through a pose sequence; vertices are computed on demand.
+    """A shaped body moved by its bones; vertices are computed on demand.
 
     Args:
         body: the body at rest.
-        poses: its poses over time.
+        fps: frames per second.
     """
 
-    def __init__(self, body: ShapedBody, poses: PoseSequence) -> None:
+    def __init__(self, body: ShapedBody, fps: float) -> None:
         self.body = body
-        self.poses = poses
         self.faces = body.faces
         self.contact = body.contact
         self.rest_vertices = body.vertices
-        self.fps = poses.fps
+        self.fps = fps
         self.name = body.name
         self._worn: tuple[np.ndarray, SkinningWeights, SkinnedSurface] | None = None
 
     @property
-    def frame_count(self) -> int:
-        return len(self.poses)
-
-    @cached_property
+    @abstractmethod
     def transforms(self) -> Tensor:
         """Transforms (frames, bones, 3, 4) float32 of the bones from rest to world; their last column is in [m]."""
-        return bone_transforms(self.body.skeleton, self.poses)
 
-    @cached_property
+    @property
+    @abstractmethod
     def joints(self) -> np.ndarray:
         """Positions (frames, bones, 3) of the joints [m]."""
-        return joint_positions(self.body.skeleton, self.poses)
-
-    def positions(self, start: int, stop: int) -> Tensor:
-        if self.body.pose_offsets is not None:
-            return self.corrected(self._surface, self.body.pose_offsets, start, stop)
-        return self._surface.positions(self.transforms[start:stop])
 
     def skin(self, rest_vertices: np.ndarray, weights: SkinningWeights, start: int, stop: int) -> Tensor:
         """Any other surface moved by the bones of this body.
@@ -263,3 +253,33 @@ class PosedBody(AnimatedBody):
             offsets = (features @ directions).view(len(transforms), -1, 3)
             result[first : first + SkinnedSurface.CHUNK] += surface.turned(offsets, transforms)
         return result
+
+
+class _PosedSkeleton(PosedBody):
+    """A shaped body moving through a pose sequence.
+
+    Args:
+        body: the body at rest.
+        poses: its poses over time.
+    """
+
+    def __init__(self, body: ShapedBody, poses: PoseSequence) -> None:
+        super().__init__(body, poses.fps)
+        self.poses = poses
+
+    @property
+    def frame_count(self) -> int:
+        return len(self.poses)
+
+    @cached_property
+    def transforms(self) -> Tensor:
+        return bone_transforms(self.body.skeleton, self.poses)
+
+    @cached_property
+    def joints(self) -> np.ndarray:
+        return joint_positions(self.body.skeleton, self.poses)
+
+    def positions(self, start: int, stop: int) -> Tensor:
+        if self.body.pose_offsets is not None:
+            return self.corrected(self._surface, self.body.pose_offsets, start, stop)
+        return self._surface.positions(self.transforms[start:stop])

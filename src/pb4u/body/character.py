@@ -108,15 +108,9 @@ class PosedCharacter(PosedBody):
     """
 
     def __init__(self, body: Character, poses: NodePoses, fps: float) -> None:
+        super().__init__(body, fps)
         self.character = body
         self.node_poses = poses
-        self.body = body
-        self.faces = body.faces
-        self.contact = body.contact
-        self.rest_vertices = body.vertices
-        self.fps = fps
-        self.name = body.name
-        self._worn = None
 
     @property
     def frame_count(self) -> int:
