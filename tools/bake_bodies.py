@@ -14,7 +14,8 @@ import numpy as np
 
 import pb4u.body
 from pb4u.body.anny_body import AnnyBody
-from pb4u.body.baked_body import BUILT_IN, FORMAT_VERSION, shape_basis
+from pb4u.body.baked_body import FORMAT_VERSION, shape_basis
+from pb4u.body.built_in import BUILT_IN
 from pb4u.body.contact_region import reachable
 from pb4u.io.atomic_file import replace_file
 

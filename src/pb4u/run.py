@@ -14,6 +14,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from pb4u.body.built_in import DEFAULT_BODY
 from pb4u.errors import InputError, refuse_unknown
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.options import Flag, described, require_fitting
@@ -146,7 +147,7 @@ class Run:
     """
 
     garments: tuple[WornGarment, ...] = field(default_factory=lambda: (WornGarment(),))
-    body: Annotated[str | Path | ShapedBody | AnimatedBody, Flag(BODY, "NAME|FILE", is_file=True)] = "woman"
+    body: Annotated[str | Path | ShapedBody | AnimatedBody, Flag(BODY, "NAME|FILE", is_file=True)] = DEFAULT_BODY
     body_shape: Annotated[Mapping[str, float], Flag(BODY, "KEY=VALUE,..")] = field(default_factory=dict, hash=False)
     clip: Annotated[str | None, Flag(BODY, "NAME")] = None
     body_parts: Annotated[str | None, Flag(BODY, "NAME,..")] = None

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from pb4u.body.anny_body import AnnyBody, to_world_axes
-from pb4u.body.baked_body import BUILT_IN, BakedBody
+from pb4u.body.baked_body import BakedBody
+from pb4u.body.built_in import BUILT_IN
 from pb4u.body.skeleton import PoseSequence
 from pb4u.errors import InputError, MissingExtraError
 from pb4u.geometry.rotation import from_axis_angle, matrix_from_quaternion

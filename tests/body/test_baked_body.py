@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 import torch
 
-from pb4u.body.baked_body import BUILT_IN, BakedBody, shape_basis
+from pb4u.body.baked_body import BakedBody, shape_basis
+from pb4u.body.built_in import BUILT_IN
 from pb4u.body.skeleton import PoseSequence
 from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputError

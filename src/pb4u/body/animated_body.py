@@ -10,6 +10,9 @@ from torch import Tensor
 
 from pb4u.geometry.topology import Topology
 
+FLOOR_PERCENTILE = 5.0
+"""The ground is where the lowest point of a body is in all but so many percent of the frames, the lowest ones."""
+
 
 class AnimatedBody(ABC):
     """A moving triangle surface with a constant topology.

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from pb4u.body.body_model import BodyModel
+from pb4u.body.built_in import BUILT_IN
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.io.array_archive import read_arrays
 from pb4u.io.stored_numbers import Layout, read_members, require_places
 
 FORMAT_VERSION = 1
-BUILT_IN = ("woman", "man")
 _LAYOUT: Layout = {
     "format_version": ("iu", ()),
     "parameter_names": ("U", ("parameters",)),

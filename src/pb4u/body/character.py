@@ -9,11 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.body.animated_body import FLOOR_PERCENTILE
 from pb4u.body.body_model import PosedBody, ShapedBody
 from pb4u.body.node_animation import Clip, NodePoses, NodeTree
 
-# The ground of a clip is where the lowest point is in all but the lowest frames; nearer to y = 0 it is taken as that.
-_FLOOR_PERCENTILE, _FLOOR_NEAR = 5.0, 0.02
+# The ground of a clip that is nearer [m] to y = 0 is taken as that.
+_FLOOR_NEAR = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +94,7 @@ class Character(ShapedBody):
         """
         poses = self.rig.tree.posed(self.clip, np.arange(frames) / fps)
         lowest = PosedCharacter(self, poses, fps).positions(0, frames)[..., 1].amin(dim=1).numpy()
-        floor = float(np.percentile(lowest, _FLOOR_PERCENTILE))
+        floor = float(np.percentile(lowest, FLOOR_PERCENTILE))
         rise = 0.0 if abs(floor) < _FLOOR_NEAR else -floor
         return NodePoses(poses.translations, poses.rotations, poses.scales, poses.weights, rise)
 

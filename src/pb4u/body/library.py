@@ -8,8 +8,9 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import NamedTuple
 
-from pb4u.body.baked_body import BUILT_IN, BakedBody
+from pb4u.body.baked_body import BakedBody
 from pb4u.body.body_model import BodyModel, ShapedBody
+from pb4u.body.built_in import BUILT_IN
 from pb4u.body.character_file import read_character
 from pb4u.body.sam3d_body import VERTICES, is_sam3d_folder
 from pb4u.body.sequence_files import SUFFIXES, load_vertex_sequence

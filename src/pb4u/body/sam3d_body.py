@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pb4u.body.animated_body import FLOOR_PERCENTILE
 from pb4u.body.sequence_files import by_number, surface_of
 from pb4u.body.vertex_sequence import VertexSequence, require_usable
 from pb4u.errors import InputError, warn
@@ -20,8 +21,6 @@ from pb4u.io.reading_limits import refusing
 VERTICES = "pred_vertices"
 _PLACE, _FACES = "pred_cam_t", ("faces", "mhr_faces")
 _UPRIGHT = np.array([1.0, -1.0, -1.0], dtype=np.float32)
-# The ground is where the lowest vertex is in all but the lowest frames.
-_FLOOR_PERCENTILE = 5.0
 _MESHES = (".ply", ".obj")
 
 
@@ -65,7 +64,7 @@ def read_sam3d_body(path: Path) -> VertexSequence:
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
         raise InputError(f"{path}: its faces have the shape {faces.shape}, where (faces, 3) whole numbers belong.")
     vertices, faces = require_usable(path, vertices, faces.astype(np.int64))
-    floor = float(np.percentile(vertices[..., 1].min(axis=1), _FLOOR_PERCENTILE))
+    floor = float(np.percentile(vertices[..., 1].min(axis=1), FLOOR_PERCENTILE))
     middle = vertices[0].mean(axis=0)
     vertices -= np.array([middle[0], floor, middle[2]], dtype=np.float32)
     warn(

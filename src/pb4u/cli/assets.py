@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pb4u.body.built_in import DEFAULT_BODY
 from pb4u.cli.console import (
     BodyShape,
     JsonFlag,
@@ -109,7 +110,9 @@ def write(
             show_default=False,
         ),
     ],
-    body: Annotated[str, typer.Option(help="Body that a garment is cut for, or that performs a motion.")] = "woman",
+    body: Annotated[
+        str, typer.Option(help="Body that a garment is cut for, or that performs a motion.")
+    ] = DEFAULT_BODY,
     body_shape: ShapeFlag = None,
     triangles: Annotated[int | None, typer.Option(help="Triangles of a garment.")] = None,
     frames: Annotated[int, typer.Option(help="Frames of a motion.")] = 60,

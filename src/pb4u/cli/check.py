@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pb4u.body.built_in import DEFAULT_BODY
 from pb4u.cli.console import (
     BodyShape,
     CropFlag,
@@ -39,7 +40,7 @@ def check(
             "first: then also where they cross each other.",
         ),
     ] = None,
-    body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body that is to wear it.")] = "woman",
+    body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body that is to wear it.")] = DEFAULT_BODY,
     body_shape: ShapeFlag = None,
     motion: Annotated[
         str | None, typer.Option(metavar="NAME|FILE", help="Motion to read and retarget as well.", show_default=False)

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pb4u.body.built_in import DEFAULT_BODY
 from pb4u.cli.console import (
     BodyShape,
     JsonFlag,
@@ -39,7 +40,7 @@ def dress(
             "pattern; .json: the pattern; .svg, .png: a picture of the pattern.",
         ),
     ],
-    body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body that wears it.")] = "woman",
+    body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body that wears it.")] = DEFAULT_BODY,
     body_shape: ShapeFlag = None,
     triangles: Annotated[int, typer.Option(help="Triangles of the garment.")] = 5000,
     material: Annotated[str, typer.Option(metavar="NAME|FILE", help="Cloth that it is sewn of.")] = "default",

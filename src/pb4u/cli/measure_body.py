@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from pb4u.body.built_in import DEFAULT_BODY
 from pb4u.cli.console import BodyShape, JsonFlag, ShapeFlag, check_json_target, keep_inputs, tell
 from pb4u.errors import InputError
 from pb4u.io.atomic_file import check_writable
@@ -14,7 +15,7 @@ from pb4u.io.atomic_file import check_writable
 
 def measure_body(
     out: Annotated[Path, typer.Option(metavar="FILE.yaml", help="GarmentCode body file to write.")],
-    body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body to measure.")] = "woman",
+    body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body to measure.")] = DEFAULT_BODY,
     body_shape: ShapeFlag = None,
     json: JsonFlag = None,
 ) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pb4u.body.built_in import DEFAULT_BODY
 from pb4u.body.library import body_names
 from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputError, unread_kind, warn
@@ -20,7 +21,6 @@ from pb4u.geometry.mesh_file import MOST_READ, READERS, PolygonMesh, read_mesh
 
 MOST_SIMULATED = 1_000_000
 """Triangles that a garment may have as it is simulated, which bounds time and memory; more are refused."""
-DEFAULT_BODY = "woman"
 # Extent [m] between which a garment's file may be in metres: a sock for a doll, a train of a wedding dress.
 _SMALLEST, _LARGEST = 0.05, 5.0
 

@@ -7,6 +7,7 @@ from functools import cached_property, lru_cache, partial
 
 import numpy as np
 
+from pb4u.body.animated_body import FLOOR_PERCENTILE
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence
 from pb4u.body.skinning import SkinnedSurface, SkinningWeights, bone_transforms
@@ -18,8 +19,7 @@ from pb4u.motion.motion import Motion, Performed
 from pb4u.motion.recording import Recording
 from pb4u.motion.reference_pose import ReferencePose
 
-# The floor is where the lowest point of the body is in all but the lowest frames, of at most so many samples.
-_FLOOR_PERCENTILE = 5.0
+# Frames of which the lowest point is looked at for the floor, at most.
 _FLOOR_SAMPLES = 240
 # Where feet stand, that is the lowest of the levels they stand on: no more than this [m] above the lowest frames, which
 # holds the toes that dip as a foot rolls off, and no stair.
@@ -82,7 +82,7 @@ class Retargeting:
         known = np.flatnonzero(standing) if standing.any() else np.arange(len(standing))
         chosen = known[np.linspace(0, len(known) - 1, min(len(known), _FLOOR_SAMPLES)).round().astype(int)]
         lowest = lowest_heights(self.humanoid.body, self.poses(chosen / recording.poses.fps))
-        low = np.percentile(lowest, _FLOOR_PERCENTILE)
+        low = np.percentile(lowest, FLOOR_PERCENTILE)
         return float(np.median(lowest[lowest < low + _LEVEL]) if standing.any() else low)
 
     def _own_bones(self, recorded: PoseSequence) -> np.ndarray:
