@@ -17,7 +17,7 @@ def random_quaternions(count: int) -> np.ndarray:
 
 
 def as_scipy(q: np.ndarray) -> Rotation:
-    return Rotation.from_quat(q[..., [1, 2, 3, 0]])
+    return Rotation.from_quat(rotation.to_xyzw(q))
 
 
 def test_product_rotation_and_matrix_agree_with_scipy() -> None:
@@ -29,6 +29,12 @@ def test_product_rotation_and_matrix_agree_with_scipy() -> None:
     np.testing.assert_allclose(
         rotation.matrix_from_quaternion(torch.from_numpy(a)), as_scipy(a).as_matrix(), atol=1e-12
     )
+
+
+def test_real_parts_go_last_for_scipy_and_back_to_the_front() -> None:
+    q = random_quaternions(5)
+    assert np.array_equal(rotation.to_xyzw(q)[:, 3], q[:, 0])
+    assert np.array_equal(rotation.from_xyzw(rotation.to_xyzw(q)), q)
 
 
 def test_axis_angle_is_exact_near_zero_and_at_half_turns() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from pb4u.body.node_animation import Channel, Clip, NodePoses, NodeTree, parted
 from pb4u.errors import InputError
+from pb4u.geometry.rotation import from_xyzw
 from pb4u.io.gltf_file import GltfFile
 from pb4u.io.reading_limits import names_text
 
@@ -46,7 +47,7 @@ def node_tree(file: GltfFile) -> NodeTree:
             continue
         translations[node] = entry.get("translation", (0.0, 0.0, 0.0))
         scales[node] = entry.get("scale", (1.0, 1.0, 1.0))
-        turn = np.array(entry.get("rotation", (0.0, 0.0, 0.0, 1.0)), dtype=np.float64)[[3, 0, 1, 2]]
+        turn = from_xyzw(np.array(entry.get("rotation", (0.0, 0.0, 0.0, 1.0)), dtype=np.float64))
         rotations[node] = turn / np.linalg.norm(turn)
     if not all((np.abs(each) < 1e7).all() for each in (translations, rotations, scales)):
         raise ValueError("a node's place is no finite number")
@@ -103,7 +104,7 @@ def read_clip(file: GltfFile, tree: NodeTree, wanted: str | None) -> Clip | None
         knots = len(times) * (3 if kind == "CUBICSPLINE" else 1)
         values = values.reshape(knots, -1)
         if target["path"] == "rotation":
-            values = values[:, [3, 0, 1, 2]]
+            values = from_xyzw(values)
             if kind != "CUBICSPLINE":
                 values = values / np.linalg.norm(values, axis=1, keepdims=True)
         if (

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pb4u.geometry.rotation import slerp
+from pb4u.geometry.rotation import from_xyzw, slerp, to_xyzw
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ class NodePoses:
             node: index of the node.
         """
         result = np.zeros((len(self), 4, 4))
-        turns = Rotation.from_quat(self.rotations[:, node][:, [1, 2, 3, 0]]).as_matrix()
+        turns = Rotation.from_quat(to_xyzw(self.rotations[:, node])).as_matrix()
         result[:, :3, :3] = turns * self.scales[:, node][:, None, :]
         result[:, :3, 3] = self.translations[:, node]
         result[:, 3, 3] = 1.0
@@ -200,4 +200,4 @@ def parted(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     turn = linear / scale
     if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3:
         raise ValueError("a node is sheared")
-    return np.array(matrix[:3, 3]), Rotation.from_matrix(turn).as_quat()[[3, 0, 1, 2]], scale
+    return np.array(matrix[:3, 3]), from_xyzw(Rotation.from_matrix(turn).as_quat()), scale

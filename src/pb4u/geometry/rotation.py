@@ -22,6 +22,24 @@ def matrix_from_quaternion(quaternion: Tensor) -> Tensor:
     return torch.stack(rows, dim=-1).reshape(*quaternion.shape[:-1], 3, 3)
 
 
+def from_xyzw(q: np.ndarray) -> np.ndarray:
+    """Quaternions (..., 4) wxyz of those that scipy and glTF have.
+
+    Args:
+        q: (..., 4) xyzw.
+    """
+    return q[..., [3, 0, 1, 2]]
+
+
+def to_xyzw(q: np.ndarray) -> np.ndarray:
+    """Quaternions (..., 4) xyzw as scipy and glTF have them.
+
+    Args:
+        q: (..., 4) wxyz.
+    """
+    return q[..., [1, 2, 3, 0]]
+
+
 def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Quaternion product a b: the rotation b followed by a.
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from pb4u.body.character import Character, PosedCharacter
 from pb4u.body.node_animation import NodePoses, parted
-from pb4u.geometry.rotation import slerp
+from pb4u.geometry.rotation import from_xyzw, slerp, to_xyzw
 from pb4u.motion.curves import ease
 from pb4u.motion.lead_in import run_up
 
@@ -67,9 +67,9 @@ def _frame(poses: NodePoses, frame: int) -> NodePoses:
 
 def _turned_on(first: np.ndarray, second: np.ndarray, elapsed: np.ndarray) -> np.ndarray:
     """Rotations (times, nodes, 4) `elapsed` (times,) frames after the first of two consecutive ones (nodes, 4)."""
-    before = Rotation.from_quat(first[:, [1, 2, 3, 0]])
-    step = (Rotation.from_quat(second[:, [1, 2, 3, 0]]) * before.inv()).as_rotvec()
-    turned = [(Rotation.from_rotvec(time * step) * before).as_quat()[:, [3, 0, 1, 2]] for time in elapsed]
+    before = Rotation.from_quat(to_xyzw(first))
+    step = (Rotation.from_quat(to_xyzw(second)) * before.inv()).as_rotvec()
+    turned = [from_xyzw((Rotation.from_rotvec(time * step) * before).as_quat()) for time in elapsed]
     return np.array(turned)
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from pb4u.body.skeleton import PoseSequence, Skeleton, branch, joint_positions
 from pb4u.errors import InputError
-from pb4u.geometry.rotation import about_axis, between, conjugate, multiply, rotate, slerp
+from pb4u.geometry.rotation import about_axis, between, conjugate, from_xyzw, multiply, rotate, slerp
 from pb4u.motion.correspondences import ROLES, Blend, SkeletonRoles
 from pb4u.motion.reference_pose import leg_length
 
@@ -89,7 +89,7 @@ class Recording:
         axes = np.stack([left, up, np.cross(left, up)])
         if np.array_equal(axes, np.eye(3)) or np.dot(left, up) != 0.0:
             return self
-        q = Rotation.from_matrix(axes).as_quat()[[3, 0, 1, 2]]
+        q = from_xyzw(Rotation.from_matrix(axes).as_quat())
         rotations = multiply(multiply(q, self.poses.rotations), conjugate(q))
         return replace(
             self,
