@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pb4u.geometry.topology import Topology, faces_to_flip
+from pb4u.geometry.topology import Topology, faces_to_flip, joined_indices, offsets, ranges
 
 
 def tube(around: int = 8, rows: int = 4) -> Topology:
@@ -16,6 +16,17 @@ def tube(around: int = 8, rows: int = 4) -> Topology:
             c, d = a + around, b + around
             faces += [(a, b, d), (a, d, c)]
     return Topology(np.array(faces), around * rows)
+
+
+def test_indices_of_joined_meshes_go_on_where_the_one_before_ends() -> None:
+    starts = offsets([range(3), range(0), range(2)])
+    assert starts == [0, 3, 3, 5]
+    faces = [np.array([[0, 1, 2]]), np.zeros((0, 3), dtype=np.int64), np.array([[1, 0, 1]])]
+    assert joined_indices(faces, starts).tolist() == [[0, 1, 2], [4, 3, 4]]
+
+
+def test_ranges_come_one_after_the_other() -> None:
+    assert ranges(np.array([4, 9, 0]), np.array([2, 0, 3])).tolist() == [4, 5, 0, 1, 2]
 
 
 def test_euler_characteristic_of_a_tube_is_zero() -> None:

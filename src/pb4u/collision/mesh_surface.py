@@ -10,7 +10,7 @@ import torch
 
 from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.geometry.closest_point import closest_barycentric
-from pb4u.geometry.topology import Topology
+from pb4u.geometry.topology import Topology, ranges
 from pb4u.geometry.triangle_mesh import edge_lengths
 
 # Faces with the nearest centres among which one that looks the right way is searched for; else the nearest point stays.
@@ -84,7 +84,7 @@ class MeshSurface:
         lengths = edge_lengths(self.vertices, edges)
         parts = np.clip(np.ceil(lengths / max(float(np.median(lengths)), 1e-12)), 1, 50).astype(int)
         owner = np.repeat(np.arange(len(edges)), parts)
-        place = (np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts) + 0.5) / parts[owner]
+        place = (ranges(np.zeros_like(parts), parts) + 0.5) / parts[owner]
         start, end = self.vertices[edges[:, 0]], self.vertices[edges[:, 1]]
         samples = start[owner] + place[:, None] * (end - start)[owner]
         return cKDTree(samples), owner, start, end

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pb4u.geometry.topology import Topology, connected_labels
+from pb4u.geometry.topology import Topology, connected_labels, ranges
 from pb4u.geometry.triangle_mesh import face_cross_products
 
 # A border loop is not thinned below this many vertices: fewer no longer show that it is round.
@@ -29,13 +29,6 @@ def _quality(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     squares = np.einsum("ij,ij->i", ab, ab) + np.einsum("ij,ij->i", bc, bc) + np.einsum("ij,ij->i", ca, ca)
     cross = np.cross(ab, bc)
     return 2.0 * np.sqrt(3.0) * np.sqrt(np.einsum("ij,ij->i", cross, cross)) / np.maximum(squares, 1e-300)
-
-
-def _ragged(starts: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Concatenated ranges start..start+count-1."""
-    total = int(counts.sum())
-    offsets = np.repeat(np.cumsum(counts) - counts, counts)
-    return np.arange(total) - offsets + np.repeat(starts, counts)
 
 
 def split_long_edges(
@@ -141,7 +134,7 @@ def collapse_short_edges(
     ends = np.concatenate([u, v])
     sizes = begins[ends + 1] - begins[ends]
     owner = np.repeat(np.tile(np.arange(len(u)), 2), sizes)
-    touched = around[_ragged(begins[ends], sizes)]
+    touched = around[ranges(begins[ends], sizes)]
 
     good = _link_condition(faces, owner, touched, u, v, on_border[candidates], len(vertices))
 

@@ -73,8 +73,7 @@ class Topology:
         order, starts, _ = self._half_edges_by_edge
         counts = self.edge_face_counts[edges]
         row = np.repeat(np.arange(len(edges)), counts)
-        within = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
-        return row, order[np.repeat(starts[edges], counts) + within] % max(len(self.faces), 1)
+        return row, order[ranges(starts[edges], counts)] % max(len(self.faces), 1)
 
     @cached_property
     def _edge_half_edges(self) -> np.ndarray:
@@ -196,6 +195,16 @@ def joined_indices(parts: Sequence[np.ndarray], starts: Sequence[int]) -> np.nda
         starts: numbers to add; may be longer than `parts`.
     """
     return np.concatenate([part + start for part, start in zip(parts, starts, strict=False)])
+
+
+def ranges(starts: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Numbers (sum of counts,) int64 from each start on, one range after the other.
+
+    Args:
+        starts: (ranges,) int64 first number of each.
+        counts: (ranges,) int64 how many numbers each has.
+    """
+    return np.arange(int(counts.sum())) + np.repeat(starts - (np.cumsum(counts) - counts), counts)
 
 
 def connected_labels(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pb4u.geometry.topology import connected_labels
+
 _CLEAR = 0.55
 """Distance of inner points from the loop, as a share of the wanted edge length: the triangles there are even then."""
 
@@ -77,8 +79,6 @@ def _relaxed(points: np.ndarray, faces: np.ndarray, fixed: int) -> np.ndarray:
 
 def _delaunay(points: np.ndarray, loop: int) -> np.ndarray:
     """Triangles within the loop of the first `loop` points; every edge of the loop is an edge of a triangle."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import Delaunay
 
     faces = Delaunay(points).simplices.astype(np.int64)
@@ -101,10 +101,7 @@ def _delaunay(points: np.ndarray, loop: int) -> np.ndarray:
     beyond = order[np.minimum(np.searchsorted(keys[order], back), len(keys) - 1)]
     joined = (keys[beyond] == back) & ~np.isin(keys, border) & ~np.isin(back, border)
     owner = np.tile(np.arange(len(faces)), 3)
-    links = (owner[joined], owner[beyond[joined]])
-    piece = connected_components(coo_matrix((np.ones(len(links[0])), links), shape=(len(faces),) * 2), directed=False)[
-        1
-    ]
+    piece = connected_labels(len(faces), owner[joined], owner[beyond[joined]])
     return faces[np.isin(piece, piece[owner[np.isin(keys, border)]])]
 
 

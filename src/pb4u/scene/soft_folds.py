@@ -19,6 +19,7 @@ from torch import Tensor
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.collision.jit import compiled
 from pb4u.collision.nearest_surface import TriangleSurface
+from pb4u.geometry.topology import connected_labels
 from pb4u.geometry.triangle_mesh import area_weighted_normals
 
 _SPACING = 0.03
@@ -175,12 +176,8 @@ class SoftFolds:
 
 def _opened_share(depth: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     """Share (places,) of its opening that each place takes, by the depth of the fold that it lies in."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    met = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(depth), len(depth)))
-    count, fold = connected_components(met, directed=False)
-    deepest = np.zeros(count)
+    fold = connected_labels(len(depth), *pairs.T)
+    deepest = np.zeros(len(depth))
     np.maximum.at(deepest, fold, depth)
     return (deepest[fold] / _LEAST - 1.0).clip(0.0, 1.0)
 
