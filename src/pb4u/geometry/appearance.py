@@ -14,6 +14,7 @@ import numpy as np
 from pb4u.errors import InputError, warn
 from pb4u.geometry.topology import offsets
 from pb4u.io.atomic_file import replace_file
+from pb4u.io.mtl_file import image_of, statements
 from pb4u.io.reading_limits import parse_json
 
 
@@ -157,18 +158,6 @@ def as_png(image: object) -> bytes:
     return written.getvalue()
 
 
-def text_of(name: bytes) -> str:
-    """Text of a line that a program wrote in UTF-8, or in a code of its own, whose names stay apart then.
-
-    Args:
-        name: as it is in the file.
-    """
-    try:
-        return name.decode("utf-8")
-    except UnicodeDecodeError:
-        return name.decode("latin-1")
-
-
 def read_mtl(path: Path) -> dict[str, Appearance]:
     """The appearances of an MTL file by name: Kd, or map_Kd alone where there is one; warns of missing images.
 
@@ -180,10 +169,9 @@ def read_mtl(path: Path) -> dict[str, Appearance]:
     """
     found: dict[str, Appearance] = {}
     current = Appearance("")
-    for line in map(text_of, path.read_bytes().splitlines()):
-        kind, rest = (*line.split(None, 1), "", "")[:2]
+    for kind, rest in statements(path):
         if kind == "newmtl":
-            current = Appearance(rest.strip(), (0.8, 0.8, 0.8))
+            current = Appearance(rest, (0.8, 0.8, 0.8))
         elif kind == "Kd" and current.image is None:
             try:
                 red, green, blue = (min(max(float(channel), 0.0), 1.0) for channel in rest.split()[:3])
@@ -191,7 +179,7 @@ def read_mtl(path: Path) -> dict[str, Appearance]:
                 raise InputError(f"{path}: the colour Kd {rest[:60]} is not three numbers; export it again.") from None
             current = replace(current, colour=(red, green, blue))
         elif kind == "map_Kd":
-            current = _with_image(current, path, rest.split())
+            current = _with_image(current, path, rest)
         if current.name:
             found[current.name] = current
     return found
@@ -226,16 +214,14 @@ def image_suffix(image: bytes) -> str:
     return ".png" if image.startswith(b"\x89PNG") else ".jpg"
 
 
-def _with_image(appearance: Appearance, mtl: Path, words: list[str]) -> Appearance:
-    """With the image that a map_Kd names: after its options, perhaps with blanks, perhaps by another machine's path."""
-    for k in range(len(words)):
-        name = " ".join(words[k:]).replace("\\", "/")
-        for file in (mtl.parent / name, mtl.parent / Path(name).name):
-            if file.is_file():
-                try:
-                    return Appearance(appearance.name, image=read_image(file))
-                except InputError as error:
-                    warn(f"{mtl.name}: {error}")
-                    return appearance
-    warn(f"{mtl.name}: the image {words[-1] if words else ''} is missing; put it beside the file to see it.")
-    return appearance
+def _with_image(appearance: Appearance, mtl: Path, rest: str) -> Appearance:
+    """With the image that a map_Kd names, or as it was, with a warning."""
+    file = image_of(mtl, rest)
+    if file is None:
+        warn(f"{mtl.name}: the image {(rest.split() or [''])[-1]} is missing; put it beside the file to see it.")
+        return appearance
+    try:
+        return Appearance(appearance.name, image=read_image(file))
+    except InputError as error:
+        warn(f"{mtl.name}: {error}")
+        return appearance

@@ -15,9 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from pb4u.errors import InputError, on_disk
-from pb4u.geometry.appearance import Appearance, Appearances, read_mtl, text_of, write_mtl
+from pb4u.geometry.appearance import Appearance, Appearances, read_mtl, write_mtl
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.io.atomic_file import replace_file
+from pb4u.io.mtl_file import joined_lines, libraries_of, text_of
 
 _LARGEST = 1e9
 """Coordinates beyond which products of areas lose all digits; no unit of length makes a garment so large."""
@@ -28,14 +29,13 @@ Lines = list[tuple[int, bytes]]
 class _Content(NamedTuple):
     """Lines of a file; of a face also the vertices and texture coordinates before it.
 
-    Of `usemtl` and `mtllib` the name, of the former with the faces before it.
+    Of `usemtl` the faces before it and the name.
     """
 
     vertices: Lines
     uvs: Lines
     faces: list[tuple[int, bytes, int, int]]
     used: list[tuple[int, str]]
-    libraries: list[str]
 
 
 def read_obj(path: Path) -> PolygonMesh:
@@ -64,19 +64,16 @@ def read_obj(path: Path) -> PolygonMesh:
         _refuse_out_of_range(path, content.faces, uv_corners, len(uvs), ends, "texture coordinate")
         polygon_uvs = tuple(np.split(uv_corners, ends[:-1]))
     used = [(0, ""), *content.used]
-    looks = _appearances(path, len(ends), used, list(dict.fromkeys(content.libraries)), polygon_uvs is not None)
+    looks = _appearances(path, len(ends), used, polygon_uvs is not None)
     polygons = tuple(np.split(corners, ends[:-1]))
     return PolygonMesh(vertices, polygons, None if polygon_uvs is None else uvs, polygon_uvs, looks)
 
 
-def _appearances(
-    path: Path, count: int, used: list[tuple[int, str]], libraries: list[str], laid_on: bool
-) -> Appearances | None:
+def _appearances(path: Path, count: int, used: list[tuple[int, str]], laid_on: bool) -> Appearances | None:
     """Appearances of `count` faces; `used` names the material that begins at a face; images need `laid_on`."""
     known: dict[str, Appearance] = {}
-    for name in libraries:
-        if (path.parent / name).is_file():
-            known |= read_mtl(path.parent / name)
+    for library in libraries_of(path):
+        known |= read_mtl(library)
     listed = [known[name] for name in dict.fromkeys(name for _, name in used) if name in known]
     if not listed:
         return None
@@ -107,9 +104,8 @@ def read_obj_vertices(path: Path) -> tuple[np.ndarray, bytes]:
 
 def _content(path: Path) -> _Content:
     """Lines of vertices, texture coordinates and faces; continued lines count as one."""
-    found = _Content([], [], [], [], [])
-    text = path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
-    for number, line in enumerate(text.split(b"\n"), 1):
+    found = _Content([], [], [], [])
+    for number, line in enumerate(joined_lines(path).split(b"\n"), 1):
         line = line.lstrip()
         kind = line[:2]
         if kind in (b"v ", b"v\t"):
@@ -119,12 +115,8 @@ def _content(path: Path) -> _Content:
             found.faces.append((number, line, len(found.vertices), len(found.uvs)))
         elif kind == b"vt":
             found.uvs.append((number, line))
-        elif line.startswith((b"usemtl", b"mtllib")):
-            name = text_of(line[6:].strip())
-            if kind == b"us":
-                found.used.append((len(found.faces), name))
-            else:
-                found.libraries.append(name)
+        elif line.startswith(b"usemtl"):
+            found.used.append((len(found.faces), text_of(line[6:].strip())))
     return found
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from contextlib import suppress
 from pathlib import Path
 from urllib.parse import unquote
 
 from pb4u.errors import InputError
+from pb4u.io.mtl_file import image_of, libraries_of, statements
 from pb4u.io.reading_limits import parse_json
 from pb4u.io.toml_file import read_tables
 
@@ -33,18 +33,13 @@ def with_companions(path: Path) -> list[Path]:
 
 def _looks_of(path: Path) -> list[Path]:
     """The MTL files of an OBJ, and the images that they name."""
-
-    def named(file: Path, what: bytes) -> list[Path]:
-        with suppress(OSError):
-            found = re.findall(rb"^[ \t]*" + what + rb"[ \t]+(\S.*?)\s*$", file.read_bytes(), re.MULTILINE)
-            names = [name.decode("utf-8", "replace").replace("\\", "/") for name in found]
-            # Options stand before the name of an image.
-            names += [name.split()[-1] for name in names]
-            return [beside for name in dict.fromkeys(names) if (beside := file.parent / name).is_file()]
-        return []
-
-    libraries = named(path, b"mtllib")
-    return [*libraries, *(image for library in libraries for image in named(library, b"map_Kd"))]
+    found: list[Path] = []
+    with suppress(OSError):
+        for library in libraries_of(path):
+            found.append(library)
+            images = [image_of(library, rest) for kind, rest in statements(library) if kind == "map_Kd"]
+            found += [image for image in images if image is not None]
+    return list(dict.fromkeys(found))
 
 
 def _named_within(path: Path) -> list[Path]:

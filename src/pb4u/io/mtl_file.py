@@ -1,0 +1,81 @@
+"""What OBJ and MTL files name: the MTL files of a mesh, and the images of their appearances."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+
+def text_of(name: bytes) -> str:
+    """Text of a line that a program wrote in UTF-8, or in a code of its own, whose names stay apart then.
+
+    Args:
+        name: as it is in the file.
+    """
+    try:
+        return name.decode("utf-8")
+    except UnicodeDecodeError:
+        return name.decode("latin-1")
+
+
+def joined_lines(obj: Path) -> bytes:
+    """Content of an OBJ file in which continued lines are one.
+
+    Args:
+        obj: the file.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    return obj.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+
+
+def libraries_of(obj: Path) -> list[Path]:
+    """The MTL files that an OBJ file names, each once, of those that are there.
+
+    Args:
+        obj: the file.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    text = joined_lines(obj)
+    # Much quicker than a look at every line; what stands before it on its line shows that it begins one.
+    found = [(text[text.rfind(b"\n", 0, m.start()) + 1 : m.start()], m[1]) for m in re.finditer(rb"mtllib(.*)", text)]
+    files = [_beside(obj, text_of(name.strip())) for before, name in found if not before.strip()]
+    return list(dict.fromkeys(file for file in files if file is not None))
+
+
+def statements(mtl: Path) -> Iterator[tuple[str, str]]:
+    """The lines of an MTL file, each as its keyword and the rest.
+
+    Args:
+        mtl: the file.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    for line in map(text_of, mtl.read_bytes().splitlines()):
+        keyword, rest = (*line.split(None, 1), "", "")[:2]
+        yield keyword, rest.strip()
+
+
+def image_of(mtl: Path, rest: str) -> Path | None:
+    """The image that a map_Kd names, after its options; None where it is not there.
+
+    Args:
+        mtl: the file that the line stands in.
+        rest: of the line, after map_Kd.
+    """
+    # A name may hold blanks, so that options end at the first place after which a file is named.
+    tails = (rest.split(None, k)[k].strip() for k in range(len(rest.split())))
+    return next((file for tail in tails if (file := _beside(mtl, tail)) is not None), None)
+
+
+def _beside(file: Path, name: str) -> Path | None:
+    """The file that `file` names, perhaps by another machine's path."""
+    name = name.replace("\\", "/")
+    # Unlike `is_file` this takes a name of any length.
+    return next((beside for n in (name, Path(name).name) if os.path.isfile(beside := file.parent / n)), None)
