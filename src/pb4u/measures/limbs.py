@@ -23,7 +23,7 @@ from pb4u.body.limb_bones import limb_bones
 from pb4u.collision.crossings import crossings, segments_through_faces
 from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.geometry.triangle_mesh import area_weighted_normals, face_areas, vertex_areas
-from pb4u.measures.overlaps import overlapping_faces, winding_number
+from pb4u.measures.overlaps import overlapping_faces
 from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
@@ -118,6 +118,8 @@ class LimbWatch:
             cloth: (vertices, 3) of all garments [m].
             body: (body vertices, 3) [m].
         """
+        import igl
+
         found = np.zeros(len(self.bones.names), dtype=bool)
         cloth, body = np.asarray(cloth, dtype=np.float64), np.array(body, dtype=np.float64)
         if not self.bones.names or not len(self._touched) or not np.isfinite(cloth).all():
@@ -128,8 +130,7 @@ class LimbWatch:
             skin = self._skin.at(torch.from_numpy(body))
             inside = skin.nearest(torch.from_numpy(places)).signed_distance.numpy() < 0.0
             # Between two parts that are in each other, cloth is in both.
-            once = [winding_number(place, body, self._faces) < _IN_TWO for place in places[inside]]
-            pairs = pairs[inside][np.array(once, dtype=bool)]
+            pairs = pairs[inside][igl.winding_number(body, self._faces, places[inside]) < _IN_TWO]
             found[pairs[:, 0]] = True
         crossing = crossings(cloth, faces, body, self._touched)
         if len(crossing):

@@ -19,6 +19,8 @@ def overlapping_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         vertices: (vertices, 3) [m], finite.
         faces: (faces, 3) int64 of a closed surface.
     """
+    import igl
+
     overlapping = np.zeros(len(faces), dtype=bool)
     overlapping[self_crossings(vertices, faces)] = True
     if not overlapping.any():
@@ -26,11 +28,12 @@ def overlapping_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     # What crosses is the border between what lies inside and what does not: one point tells of each piece.
     free = np.flatnonzero(~overlapping)
     piece = Topology(faces[free], len(vertices)).piece_of_vertex[faces[free, 0]]
-    for number in np.setdiff1d(piece, np.bincount(piece).argmax()):
-        own = free[piece == number]
-        middle = own[np.argsort(face_areas(vertices, faces[own]))[len(own) // 2]]
-        # At a corner the faces around it count for nothing; within a face that face would, by half, on either side.
-        overlapping[own] = winding_number(vertices[faces[middle, 0]], vertices, faces) > _TWICE
+    pieces = [free[piece == number] for number in np.setdiff1d(piece, np.bincount(piece).argmax())]
+    middles = [own[np.argsort(face_areas(vertices, faces[own]))[len(own) // 2]] for own in pieces]
+    # At a corner the faces around it count for nothing; within a face that face would, by half, on either side.
+    corners = faces[np.array(middles, dtype=np.int64), 0]
+    for own, number in zip(pieces, igl.winding_number(vertices, faces, vertices[corners]), strict=True):
+        overlapping[own] = number > _TWICE
     return overlapping
 
 
@@ -43,26 +46,9 @@ def buried(asked: np.ndarray, vertices: np.ndarray, faces: np.ndarray, folds: np
         faces: (faces, 3) int64, counter-clockwise seen from outside.
         folds: (folds, 3) int64 its overlapping faces.
     """
+    import igl
+
     inside = np.zeros(len(vertices), dtype=bool)
-    for row in np.intersect1d(np.flatnonzero(asked), folds):
-        inside[row] = winding_number(vertices[row], vertices, faces) > _TWICE
+    rows = np.intersect1d(np.flatnonzero(asked), folds)
+    inside[rows] = igl.winding_number(vertices, faces, vertices[rows]) > _TWICE
     return inside
-
-
-def winding_number(point: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> float:
-    """How often a closed surface goes around a point: 1 inside, 0 outside, 0.5 on it, more where it overlaps itself.
-
-    Args:
-        point: (3,) [m].
-        vertices: (vertices, 3) [m].
-        faces: (faces, 3) int64, counter-clockwise seen from outside.
-
-    Source: the solid angle of a triangle, van Oosterom and Strackee 1983.
-    """
-    a, b, c = (vertices[faces] - point).transpose(1, 0, 2)
-    la, lb, lc = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
-    volume = np.einsum("ij,ij->i", a, np.cross(b, c))
-    dots = [np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a))]
-    # Of a face that has the point as its corner both are zero: no angle, but for a zero that is negative.
-    angles = 2.0 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb + 0.0)
-    return float(angles.sum() / (4.0 * np.pi))
