@@ -54,9 +54,8 @@ def starts() -> None:
         timeline = Timeline.of(scene)
         skinned = timeline.skinned(scene.lead_in).numpy()
         count = len(self_crossings(skinned, timeline.garments.faces.numpy(), sharing=True))
-        tree = timeline.garments.surface_tree
         began = time.perf_counter()
-        freed = untangled_start(timeline.garments.garments, skinned, tree)
+        freed = untangled_start(timeline.garments.garments, skinned)
         seconds = time.perf_counter() - began
         moved = 1000 * np.linalg.norm(freed - skinned, axis=1).max()
         print(f"{name} {motion} {triangles}: {count} pairs -> 0, moved {moved:.1f} mm, {seconds:.2f} s")

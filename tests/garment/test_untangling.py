@@ -115,13 +115,6 @@ def test_cloth_too_near_is_brought_apart() -> None:
     assert np.linalg.norm(freed.vertices - vertices, axis=1).max() < 1e-3
 
 
-def test_neighbours_that_were_near_at_rest_may_stay_so() -> None:
-    vertices, faces = layers(2, 6e-5)
-    edges = Topology(faces, len(vertices)).edges
-    tree = SurfaceTree(vertices, faces, edges, np.zeros(len(vertices), dtype=np.int64), [0])
-    np.testing.assert_array_equal(untangle(vertices, faces, tree=tree).vertices, vertices.astype(np.float32))
-
-
 def test_fixed_vertices_stay_and_slow_ones_move_less() -> None:
     vertices, faces = waved()
     half = len(vertices) // 2

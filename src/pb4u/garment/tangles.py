@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from pb4u.collision.crossings import self_crossings
-from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.errors import InputError
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
@@ -98,11 +97,7 @@ def _found(garments: Sequence[Garment], places: Sequence[np.ndarray]) -> tuple[T
     return tangles([garment.name for garment in garments], owner, vertices, faces, pairs)
 
 
-def untangled_start(
-    garments: Sequence[Garment],
-    positions: np.ndarray,
-    tree: SurfaceTree | None = None,
-) -> np.ndarray:
+def untangled_start(garments: Sequence[Garment], positions: np.ndarray) -> np.ndarray:
     """Positions near the given ones from which a simulation may begin: no two triangles of cloth cross.
 
     Pinned vertices stay; of two garments the outer gives way to the inner. Parts that share no vertex keep
@@ -111,7 +106,6 @@ def untangled_start(
     Args:
         garments: the garments of one world, inner first.
         positions: (vertices, 3) of all of them, one after the other [m].
-        tree: search tree of the garments at rest, if there is one.
 
     Returns:
         (vertices, 3) float64 [m], each one a number that float32 holds.
@@ -122,7 +116,7 @@ def untangled_start(
     faces, owner = joined_faces(garments)
     pinned = np.concatenate([garment.pinned for garment in garments])
     mobility = np.where(pinned, 0.0, mobility_of(owner, len(garments)))
-    start = untangle(positions, faces, mobility, tree)
+    start = untangle(positions, faces, mobility)
     if start.is_free:
         return start.vertices
     left = tangles([garment.name for garment in garments], owner, start.vertices, faces, start.crossings)

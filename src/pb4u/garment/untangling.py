@@ -40,8 +40,6 @@ _SPREADS = 2
 cloth as a spike. Without it freeing takes twice the passes."""
 _AIM = 2.0
 """Times the smallest distance that parts nearer than it are pushed apart to, so that a few passes do."""
-_SHARE_OF_REST = 0.25
-"""Share of their distance at rest that parts of one garment may always come within: slivers of a mesh."""
 _MOST_WIDENINGS = 60
 """Passes of pushing apart after which what is too near stays so, as between fixed vertices."""
 _PATIENCE = 30
@@ -78,7 +76,6 @@ def untangle(
     vertices: np.ndarray,
     faces: np.ndarray,
     mobility: np.ndarray | None = None,
-    tree: SurfaceTree | None = None,
     gap: float = SMALLEST_GAP,
     most_passes: int = MOST_PASSES,
 ) -> Untangled:
@@ -91,11 +88,10 @@ def untangle(
         vertices: (vertices, 3) [m], finite, of one garment or of several together.
         faces: (faces, 3) int64.
         mobility: (vertices,) how readily each moves, 0 for fixed; default 1 for all.
-        tree: search tree of the surface at rest, if there is one: parts near each other at rest may stay so.
         gap: smallest distance [m] between parts that share no vertex; 0 looks at none.
         most_passes: passes after which to give up.
     """
-    return _Untangling(np.asarray(vertices, dtype=np.float64), faces, mobility, tree, gap).run(most_passes)
+    return _Untangling(np.asarray(vertices, dtype=np.float64), faces, mobility, gap).run(most_passes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,27 +112,19 @@ class _Pushes:
 class _Untangling:
     """The passes; what depends on the cloth as it came is prepared once."""
 
-    def __init__(
-        self,
-        vertices: np.ndarray,
-        faces: np.ndarray,
-        mobility: np.ndarray | None,
-        tree: SurfaceTree | None,
-        gap: float,
-    ) -> None:
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, mobility: np.ndarray | None, gap: float) -> None:
         self.topology = Topology(np.ascontiguousarray(faces, dtype=np.int64), len(vertices))
         self.mobility = np.ones(len(vertices)) if mobility is None else np.asarray(mobility, dtype=np.float64)
         self.start, self.gap = _rounded(vertices), gap
-        self._given = tree
         self.lengths = edge_lengths(self.start, self.topology.edges)
         self.step = _STEP * float(self.lengths.mean()) if len(self.lengths) else 0.0
         self.spread = neighbour_mean(self.topology)
 
     @cached_property
     def tree(self) -> SurfaceTree:
-        """The search tree that was given, else one of the cloth as it came."""
+        """Search tree of the cloth as it came."""
         parts = np.zeros(self.topology.vertex_count, dtype=np.int64)
-        return self._given or SurfaceTree(self.start, self.topology.faces, self.topology.edges, parts, [0])
+        return SurfaceTree(self.start, self.topology.faces, self.topology.edges, parts, [0])
 
     def run(self, most_passes: int) -> Untangled:
         """Pass after pass until nothing crosses or is too near."""
@@ -223,13 +211,12 @@ class _Untangling:
             return None, 0.0
         pairs = self.tree.pairs(vertices, _AIM * self.gap)
         distances, weights, normals = pairs.nearest(vertices)
-        gaps = np.minimum(self.gap, _SHARE_OF_REST * pairs.rest_distance) if self._given else self.gap
         nearest = float(distances.min(initial=_AIM * self.gap))
-        if not (distances < gaps).any():
+        if not (distances < self.gap).any():
             return None, nearest
-        aims = _AIM * gaps
-        near = distances < aims
-        push = np.where(near, aims - distances, 0.0)[near, None] * normals[near]
+        aim = _AIM * self.gap
+        near = distances < aim
+        push = (aim - distances[near])[:, None] * normals[near]
         return _Pushes(pairs.corners[near], weights[near], push), nearest
 
 
