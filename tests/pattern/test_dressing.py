@@ -219,7 +219,7 @@ def test_a_top_is_brought_to_the_shoulders_of_its_body(body):
 @pytest.mark.parametrize("height", [0.5, 1.0])
 def test_trousers_are_lowered_to_the_crotch_of_their_body(body, height: float):
     mesh = mesh_pattern(trousers(height), 100)
-    sewing = Sewing(mesh, body, MATERIALS["default"], None)
+    sewing = Sewing(mesh, body, MATERIALS["default"])
     crotch = body.kept("form", BodyForm).crotch
     assert crotch_height(mesh, mesh.placed) == pytest.approx(height)
     assert crotch_height(mesh, sewing.placed) == pytest.approx(min(height, crotch - 0.01), abs=1e-6)
@@ -230,7 +230,7 @@ def test_a_skirt_that_would_begin_above_the_waist_is_lowered(body, raised: float
     panels = [Panel(p.name, p.corners, p.position + (0, raised, 0)) for p in skirt().panels]
     mesh = mesh_pattern(Pattern("skirt", panels, skirt().seams), 100)
     waist = trunk_girths(body)["waist"][0]
-    placed = Sewing(mesh, body, MATERIALS["default"], None).placed
+    placed = Sewing(mesh, body, MATERIALS["default"]).placed
     assert placed[:, 1].max() == pytest.approx(min(1.1 + raised, waist + 0.05), abs=1e-6)
 
 

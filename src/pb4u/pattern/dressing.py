@@ -8,7 +8,6 @@ will do; the result is passed on, panel by panel, to the mesh that is wanted, an
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -100,7 +99,6 @@ def dress(
     body: ShapedBody,
     triangles: int = DEFAULT_TRIANGLES,
     material: Material | None = None,
-    watch: Callable[[np.ndarray, np.ndarray], None] | None = None,
 ) -> Dressed:
     """A pattern sewn around a resting body.
 
@@ -109,7 +107,6 @@ def dress(
         body: the body that wears it.
         triangles: wanted number of triangles.
         material: the cloth; the default one by default.
-        watch: called after every step with the vertices (vertices, 3) [m] of garment and body.
 
     Raises:
         InputError: the pattern cannot be meshed so, or is too small for the body.
@@ -117,7 +114,7 @@ def dress(
     cloth = material or MATERIALS["default"]
     enough = max(round(pattern.area / (0.43 * _COARSE_EDGE**2)), 8 * len(pattern.panels))
     coarse = mesh_pattern(pattern, triangles if triangles < 1.5 * enough else enough)
-    sewing = Sewing(coarse, body, cloth, watch)
+    sewing = Sewing(coarse, body, cloth)
     refuse_far(coarse, body)
     refuse_narrow(coarse, body, sewing.placed)
     places = sewing.hung(sewing.sewn(), _MOST_HANGING)
@@ -140,7 +137,7 @@ def passed_on(
     Raises:
         InputError: so few triangles cannot mesh it.
     """
-    sewing = Sewing(mesh, body, material, None)
+    sewing = Sewing(mesh, body, material)
     if triangles is None or triangles == len(mesh.faces):
         return sewing.garment(places)
     return _on_mesh(sewing, mesh_pattern(mesh.pattern, triangles), places).garment
@@ -148,7 +145,7 @@ def passed_on(
 
 def _on_mesh(sewing: Sewing, mesh: PatternMesh, places: np.ndarray) -> Dressed:
     """The garment of a sewing at `places` (vertices, 3) [m] with another mesh, settled there."""
-    other = Sewing(mesh, sewing.body, sewing.material, sewing.watch)
+    other = Sewing(mesh, sewing.body, sewing.material)
     return _dressed(other, other.hung(other.outside(carried(sewing.mesh, places, mesh)), _MOST_SETTLING))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 
@@ -109,17 +108,10 @@ class Sewing:
         mesh: the panels.
         body: the resting body.
         material: of the cloth.
-        watch: called after every step with the vertices (vertices, 3) [m] of garment and body; None for nobody.
     """
 
-    def __init__(
-        self,
-        mesh: PatternMesh,
-        body: ShapedBody,
-        material: Material,
-        watch: Callable[[np.ndarray, np.ndarray], None] | None,
-    ) -> None:
-        self.mesh, self.body, self.watch = mesh, body, watch
+    def __init__(self, mesh: PatternMesh, body: ShapedBody, material: Material) -> None:
+        self.mesh, self.body = mesh, body
         self.rest_body = RestBody.of(body)
         faces, contact = torch.from_numpy(body.faces), torch.from_numpy(body.contact)
         # Sleeves have to close around hands as well.
@@ -266,8 +258,6 @@ class Sewing:
         step = TimeStep(packed, state, collider, dt, gravity, pin_positions=x)
         with without_library_threads():
             state, _ = implicit_steps(potential, solver, step, _ITERATIONS)
-        if self.watch:
-            self.watch(state.positions.numpy(), after.positions.numpy())
         return state.positions
 
     def depth(self, x: Tensor) -> float:
