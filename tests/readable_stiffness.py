@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from pb4u.physics.step_potential import StepPotential
-from pb4u.physics.terms.bending import dihedral_angles
 from pb4u.physics.terms.collision import REFERENCE_AREA, Collision
 from pb4u.physics.terms.friction import Friction
 from pb4u.scene.scene import STANDARD_GRAVITY, UP
@@ -48,6 +47,15 @@ def stretch(frozen: StepPotential, x: Tensor) -> tuple[Tensor, Tensor]:
     parts = (torch.einsum("fik,fjl,fklab->fiajb", shape, shape, part) for part in (of_columns, compressive))
     positive, negative = (assembled(part, garments.faces, len(x)) for part in parts)
     return positive, negative
+
+
+def dihedral_angles(x: Tensor, hinges: Tensor) -> Tensor:
+    """Angles (hinges,) [rad] between the two faces at each hinge; 0 where flat."""
+    x0, x1, x2, x3 = (x[hinges[:, k]] for k in range(4))
+    edge = x1 - x0
+    n0, n1 = torch.linalg.cross(edge, x2 - x0), torch.linalg.cross(x3 - x0, edge)
+    sine = (edge * torch.linalg.cross(n0, n1)).sum(1) / edge.norm(dim=1)
+    return torch.atan2(sine, (n0 * n1).sum(1))
 
 
 def bending(frozen: StepPotential, x: Tensor) -> Tensor:

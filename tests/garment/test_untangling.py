@@ -10,6 +10,7 @@ from tests.paper import readable_contours as readable
 from pb4u.collision.collision_free import SMALLEST_GAP
 from pb4u.collision.crossings import piercings, self_crossings
 from pb4u.collision.surface_tree import SurfaceTree
+from pb4u.garment import untangling
 from pb4u.garment.untangling import FARTHEST, untangle
 from pb4u.geometry.topology import Topology
 
@@ -87,12 +88,13 @@ def test_tangled_cloth_is_freed_and_keeps_a_gap(shape: str) -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_what_comes_back_is_free_or_says_what_crosses(seed: int) -> None:
+def test_what_comes_back_is_free_or_says_what_crosses(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """However much it was shaken, in however few passes: `is_free` is what the exact test finds of float32."""
     rng = np.random.default_rng(seed)
     vertices, faces = layers(int(rng.integers(1, 4)), 0.002, side=7)
     vertices = vertices + rng.normal(0.0, rng.choice([0.003, 0.02, 0.1]), vertices.shape)
-    freed = untangle(vertices, faces, most_passes=int(rng.choice([0, 3, 200])))
+    monkeypatch.setattr(untangling, "MOST_PASSES", int(rng.choice([0, 3, 200])))
+    freed = untangle(vertices, faces)
     left = self_crossings(freed.vertices.astype(np.float32), faces, sharing=True)
     assert {tuple(pair) for pair in left.tolist()} == {tuple(pair) for pair in freed.crossings.tolist()}
     assert freed.is_free == (len(left) == 0)
@@ -130,6 +132,6 @@ def test_fixed_vertices_stay_and_slow_ones_move_less() -> None:
 
 def test_what_is_fixed_altogether_is_said_to_cross_still() -> None:
     vertices, faces = waved()
-    freed = untangle(vertices, faces, np.zeros(len(vertices)), most_passes=5)
+    freed = untangle(vertices, faces, np.zeros(len(vertices)))
     assert not freed.is_free
     np.testing.assert_array_equal(freed.vertices, vertices.astype(np.float32))

@@ -10,6 +10,7 @@ import pytest
 import torch
 from benchmarks.outside_reference import hinge_stiffness, newton_membrane, wave_speed
 from tests.physics.shapes import nobody
+from tests.readable_stiffness import dihedral_angles
 from tests.simulation.ball_scene import MATERIAL, Ball, ball_scene, sheet
 from torch import Tensor
 
@@ -18,7 +19,7 @@ from pb4u.garment.dressing import Placement
 from pb4u.garment.garment import Garment
 from pb4u.measures.metrics import measure
 from pb4u.physics.contact.contact_set import ContactSet
-from pb4u.physics.terms.bending import Bending, dihedral_angles
+from pb4u.physics.terms.bending import Bending
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import pack
 from pb4u.scene.scene import DressedGarment, Scene

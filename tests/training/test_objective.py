@@ -14,6 +14,7 @@ from pb4u.physics.step_potential import Energies
 from pb4u.physics.terms.collision import REFERENCE_AREA
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
+from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.training.objective import (
     comparable_total,
     mean_energies,
@@ -34,8 +35,9 @@ def two_garments() -> PackedGarments:
 def test_progress_weights_are_of_the_logarithm_of_what_a_pass_freed() -> None:
     garments = two_garments()
     freed = torch.tensor([0.25, 4.0])[garments.garment_world]
-    weights = progress_weights(garments, freed, lift=0.0)
-    assert weights.tolist() == pytest.approx((1.0 / freed[garments.garment_world]).tolist())
+    weights = progress_weights(garments, freed)
+    lift = 1e-4 * STANDARD_GRAVITY * garments.garment_masses
+    assert weights.tolist() == pytest.approx((1.0 / (freed[garments.garment_world] + lift)).tolist())
     none_freed = progress_weights(garments, torch.tensor([0.0, -1.0]))
     assert bool(torch.isfinite(none_freed).all())
     with pytest.raises(InputError, match="conjugate"):

@@ -73,11 +73,7 @@ class Untangled:
 
 
 def untangle(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    mobility: np.ndarray | None = None,
-    gap: float = SMALLEST_GAP,
-    most_passes: int = MOST_PASSES,
+    vertices: np.ndarray, faces: np.ndarray, mobility: np.ndarray | None = None, gap: float = SMALLEST_GAP
 ) -> Untangled:
     """Move cloth as little as it takes until no two of its triangles cross, and its parts keep a smallest distance.
 
@@ -89,9 +85,8 @@ def untangle(
         faces: (faces, 3) int64.
         mobility: (vertices,) how readily each moves, 0 for fixed; default 1 for all.
         gap: smallest distance [m] between parts that share no vertex; 0 looks at none.
-        most_passes: passes after which to give up.
     """
-    return _Untangling(np.asarray(vertices, dtype=np.float64), faces, mobility, gap).run(most_passes)
+    return _Untangling(np.asarray(vertices, dtype=np.float64), faces, mobility, gap).run()
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,11 +121,11 @@ class _Untangling:
         parts = np.zeros(self.topology.vertex_count, dtype=np.int64)
         return SurfaceTree(self.start, self.topology.faces, self.topology.edges, parts, [0])
 
-    def run(self, most_passes: int) -> Untangled:
+    def run(self) -> Untangled:
         """Pass after pass until nothing crosses or is too near."""
         vertices, since, rings, widenings, made = self.start, 0, 0, 0, 0
         best = Untangled(vertices, np.zeros((0, 2), dtype=np.int64), 0.0, 0)
-        for made in range(most_passes + 1):
+        for made in range(MOST_PASSES + 1):
             pairs = self_crossings(vertices, self.topology.faces, sharing=True)
             pushes, nearest = (None, 0.0) if len(pairs) else self._near(vertices)
             since += 1

@@ -18,6 +18,10 @@ from pb4u.scene.scene import STANDARD_GRAVITY
 REFERENCE_WEIGHT = 5e3
 """Weight of the collision term at which losses of different times are compared [J/m^3]."""
 
+_LIFT = 1e-4
+"""Height [m]; the energy that lifts a garment by it is added to the decrease of each pass, so that smaller ones do not
+matter."""
+
 
 @dataclass(frozen=True)
 class Inside(Collision):
@@ -73,19 +77,18 @@ def further_losses(prepared: PreparedGarments, step: TimeStep, positions: Tensor
     return {loss.name: loss.energies(before, positions, progress) for loss in prepared.losses}
 
 
-def progress_weights(garments: PackedGarments, decrease: Tensor | None, lift: float = 1e-4) -> Tensor:
+def progress_weights(garments: PackedGarments, decrease: Tensor | None) -> Tensor:
     """Weights (garments,) [1/J] of losses: a joule counts less, the larger the energy decrease of the pass.
 
-    Where a pass lowers the energy by much more than `lift`, descending this loss raises the logarithm of that decrease,
-    of the terms that its search knows: it asks for the best direction alike far from the minimum and near it, in silk
-    and in leather. It is no logarithm elsewhere: a pass that raises the energy counts as one that leaves it as it is,
-    with the greatest weight of all. Only passes that are joined (`conjugate_move`) know their decrease.
+    Where a pass lowers the energy by much more than what lifts the garment by `_LIFT`, descending this loss raises the
+    logarithm of that decrease, of the terms that its search knows: it asks for the best direction alike far from the
+    minimum and near it, in silk and in leather. It is no logarithm elsewhere: a pass that raises the energy counts as
+    one that leaves it as it is, with the greatest weight of all. Only passes that are joined (`conjugate_move`) know
+    their decrease.
 
     Args:
         garments: the pack that the losses are of.
         decrease: (worlds,) energy decrease [J] of the pass, where its search measures it.
-        lift: height [m]; the energy that lifts the garment by it is added to each decrease, so that smaller ones do not
-            matter.
 
     Raises:
         InputError: the search of the passes does not measure their energy decrease.
@@ -93,7 +96,7 @@ def progress_weights(garments: PackedGarments, decrease: Tensor | None, lift: fl
     if decrease is None:
         raise InputError("loss_weight=progress needs a network whose passes are conjugate: network.conjugate=True.")
     of_world = decrease[garments.garment_world].clamp_min(0.0)
-    return 1.0 / (of_world + (lift * STANDARD_GRAVITY * garments.garment_masses).to(of_world))
+    return 1.0 / (of_world + (_LIFT * STANDARD_GRAVITY * garments.garment_masses).to(of_world))
 
 
 JOULE, PROGRESS = LOSS_WEIGHTS = ("joule", "progress")

@@ -59,6 +59,9 @@ _ROUGHLY = 0.1
 """Relative tolerance of the linear solves that predict where a step leads; with 0.2 a step can take an iteration
 more."""
 
+_FINELY = 0.05
+"""The same of the linear solve that makes the step."""
+
 # Share of the compressive curvature and extra mass, from most damped to exact: an iteration starts one damping level
 # above the last and falls back while the curvature is negative. The extra mass holds back vertices about to buckle.
 _DAMPING_LEVELS = ((0.0, 0.0), (0.8, 1.0), (1.0, 1.0), (1.0, 0.3), (1.0, 0.0))
@@ -110,14 +113,11 @@ class Solver:
     Args:
         tolerance: rms(M^-1 gradient) in units of standard gravity at which a step counts as solved.
         max_iterations: Newton iterations after which it stops in any case.
-        forcing: relative tolerance of the linear solves.
         settled: an iteration whose energy decrease is below this height [m] is the last; 0 for no such end.
     """
 
-    def __init__(
-        self, tolerance: float = 1e-3, max_iterations: int = 100, forcing: float = 0.05, settled: float = 0.0
-    ) -> None:
-        self.tolerance, self.max_iterations, self.forcing, self.settled = tolerance, max_iterations, forcing, settled
+    def __init__(self, tolerance: float = 1e-3, max_iterations: int = 100, settled: float = 0.0) -> None:
+        self.tolerance, self.max_iterations, self.settled = tolerance, max_iterations, settled
         self._garments: PackedGarments | None = None
         self._pattern: StiffnessPattern
         self._preconditioner: AgeingPreconditioner
@@ -247,7 +247,7 @@ class Solver:
             if _norm(missed, mass) <= _MISSED * _norm(gradient.numpy(), mass):
                 break
             solution = solve(_ROUGHLY, solution)
-        solution = solve(self.forcing, solution)
+        solution = solve(_FINELY, solution)
         preconditioner.served(spent)
         # The model looks where the step leads; the line search needs what falls from where it begins.
         falls = (_sums(gradient * torch.from_numpy(solution), garments) < 0)[garments.vertex_world]

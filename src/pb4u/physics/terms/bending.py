@@ -84,16 +84,6 @@ class CompiledBending(CompiledTerm, Bending):
         _add_stiffness(x, self._hinges, self._stiffness, slots, stiffness.positive)
 
 
-def dihedral_angles(x: Tensor, hinges: Tensor) -> Tensor:
-    """Angles (hinges,) [rad] between the two faces at each hinge; 0 where flat.
-
-    Args:
-        x: (vertices, 3) [m] positions.
-        hinges: (hinges, 4) int64 vertices: edge v0 v1, opposite v2, opposite v3.
-    """
-    return _length_and_angle(x, hinges)[1]
-
-
 def _length_and_angle(x: Tensor, hinges: Tensor) -> tuple[Tensor, Tensor]:
     x0, x1, x2, x3 = (x.index_select(0, hinges[:, k]) for k in range(4))
     edge = x1 - x0
