@@ -10,7 +10,7 @@ from tests.paper.quick_rollouts import job
 
 from pb4u.errors import InputError, Pb4uError
 from pb4u.jobs import job_folder
-from pb4u.jobs.job import Failure, Made
+from pb4u.jobs.job import Failure, Made, attempted
 from pb4u.jobs.job_folder import JobFolder
 
 JOB = job("walk")
@@ -25,6 +25,25 @@ def kept(path: Path) -> Path:
         folder.write_manifest((JOB,))
         folder.take(JOB, Made({"value": 1.5}, b"frame"))
     return path / "jobs" / f"{JOB.key}.json"
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (InputError("no such\n garment."), "no such garment."),
+        (MemoryError(), "There is not enough memory for this; ask for fewer triangles or frames."),
+        (OSError(28, "No space left on device", "clip.npz"), "No space left on device (clip.npz)."),
+        (KeyError("a"), "It broke off unexpectedly: KeyError: 'a'"),
+    ],
+)
+def test_whatever_goes_wrong_is_told_in_a_sentence(error: Exception, sentence: str) -> None:
+    def run(work: object) -> Made:
+        raise error
+
+    failure = attempted(run, JOB)
+    assert isinstance(failure, Failure)
+    assert failure.sentence == sentence
+    assert type(error).__name__ in failure.trace
 
 
 def test_results_are_there_again(tmp_path: Path) -> None:

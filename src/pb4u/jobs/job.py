@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from pb4u.errors import InputError, Pb4uError
+from pb4u.errors import InputError, sentence_on
 
 Work = TypeVar("Work")
 
@@ -88,12 +88,8 @@ def attempted(run: Callable[[Work], Made], work: Work) -> Made | Failure:
     try:
         return run(work)
     except Exception as error:
-        sentence = f"It broke off unexpectedly: {type(error).__name__}: {error}"
-        if isinstance(error, Pb4uError):
-            sentence = str(error)
-        elif isinstance(error, MemoryError):
-            sentence = "There was not enough memory for it."
-        return Failure(" ".join(sentence.split()), traceback.format_exc())
+        unexpected = f"It broke off unexpectedly: {type(error).__name__}: {' '.join(str(error).split())}"
+        return Failure(sentence_on(error) or unexpected, traceback.format_exc())
 
 
 def address(identity: Mapping[str, Any]) -> str:
