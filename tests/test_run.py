@@ -14,6 +14,7 @@ from pb4u.body.library import load_body
 from pb4u.errors import InputError
 from pb4u.garment.library import build_garment
 from pb4u.run import Run, WornGarment
+from pb4u.scene_file import named_file
 
 
 @pytest.mark.parametrize(
@@ -102,3 +103,18 @@ def test_another_frame_rate_covers_the_same_stretch_of_time() -> None:
     assert replace(scene, frames=None).at_rate(30.0).frames is None
     assert replace(scene, frames=None).written_frames is None
     assert replace(scene, keep_lead_in=False).written_frames == 25
+
+
+@pytest.mark.parametrize(
+    ("value", "file"),
+    [
+        ("tshirt", "tshirt"),
+        (Path("folder/shirt.obj"), "folder/shirt.obj"),
+        ("garments.pkl:dress@73", "garments.pkl"),
+        ("people.pkl:2", "people.pkl"),
+        ("walk.npz:1", "walk.npz"),
+        ("at 12:30.obj", "at 12:30.obj"),
+    ],
+)
+def test_the_file_that_a_value_names(value: str | Path, file: str) -> None:
+    assert named_file(value) == Path(file)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pb4u.errors import InputError, refuse_unknown
+from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.io.atomic_file import replace_file
 from pb4u.io.toml_file import read_tables
 from pb4u.run import Run, WornGarment, entries, located, names_file
@@ -48,6 +49,22 @@ def read_scene(path: Path) -> Run:
         return Run(worn, **scene, **run)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def named_file(value: str | Path) -> Path:
+    """The file that a value of a run names, without the entry of a dictionary or the person of a recording after it.
+
+    Args:
+        value: a path, FILE.pkl:NAME, FILE.pkl:NAME@CENTRE or FILE:PERSON; a built-in name is given back as a path.
+    """
+    entry = DictionaryEntry.parse(value)
+    if entry is not None:
+        return entry.path
+    if ":" not in str(value):
+        return Path(value)
+    from pb4u.motion.library import recording_file
+
+    return recording_file(value)[0]
 
 
 def write_scene(run: Run, path: Path) -> None:

@@ -103,8 +103,9 @@ def test_frames_are_not_written_among_those_that_are_read(files: Path, pb4u: Cal
 
 def test_the_dictionary_that_a_garment_is_read_from_is_kept(files: Path, pb4u: Callable) -> None:
     Path("garments.pkl").write_bytes(b"mine")
-    ended = pb4u("simulate", "--garment", "garments.pkl:dress@73", *FRAMES, "--out", "garments.pkl")
-    assert "would overwrite garments.pkl, which is read" in ended.err
+    for flags in (("--garment", "garments.pkl:dress@73"), ("--motion", "garments.pkl:2")):
+        ended = pb4u("simulate", *flags, *FRAMES, "--out", "garments.pkl")
+        assert "would overwrite garments.pkl, which is read" in ended.err
     assert Path("garments.pkl").read_bytes() == b"mine"
 
 

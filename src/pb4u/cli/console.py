@@ -13,9 +13,9 @@ from typer.core import TyperCommand, TyperGroup
 
 from pb4u.errors import InputError
 from pb4u.export.registry import is_same_file, would_overwrite, written_files
-from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.io.atomic_file import check_writable, json_text, replace_file
 from pb4u.io.companions import with_companions
+from pb4u.scene_file import named_file
 
 if TYPE_CHECKING:
     from pb4u.jobs.worker_pool import WorkerPool
@@ -159,7 +159,7 @@ def keep_inputs(
     Raises:
         InputError: two of them are one file.
     """
-    given = [_read_file(str(name)) for name in inputs if isinstance(name, str | Path)]
+    given = [named_file(name) for name in inputs if isinstance(name, str | Path)]
     read = [file for path in given if path.exists() for file in with_companions(path)]
     written: list[tuple[Path, Path]] = []
     single = [(flag, Path(path)) for flag, path in outputs if path is not None and str(path) != "-"]
@@ -171,12 +171,6 @@ def keep_inputs(
             if would_overwrite(path, file) if is_export else is_same_file(path, file):
                 raise InputError(f"{path} and {other} would both be written to {file}; give each a name of its own.")
         written += [(path, file) for file in (written_files(path, 1) if is_export else (path,))]
-
-
-def _read_file(name: str) -> Path:
-    """The file of an entry `FILE.pkl:NAME`, or `name` as a path."""
-    entry = DictionaryEntry.parse(name)
-    return Path(name) if entry is None else entry.path
 
 
 def pool_of(workers: int, ray: str | None) -> Callable[[], WorkerPool]:

@@ -9,15 +9,15 @@ from typing import Literal, NamedTuple
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.character import Character
 from pb4u.errors import InputError, unknown_name
-from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.library import garment_names
 from pb4u.garment.material import MATERIALS, load_material
 from pb4u.io.companions import with_companions
 from pb4u.jobs.job import digest
 from pb4u.measures.run_job import RunJob
-from pb4u.motion.library import motion_names, recording_file
+from pb4u.motion.library import motion_names
 from pb4u.run import Run
 from pb4u.scene.moving_body import DEFAULT_MOTION, load_body_of
+from pb4u.scene_file import named_file
 from pb4u.simulation.checkpoint import weights_file
 from pb4u.simulation.models import default_model, simulator_of
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
@@ -96,7 +96,7 @@ class JobPlanner:
             if value is None or (kind, str(value)) in self._checked or not isinstance(value, str | Path):
                 continue
             self._checked.add((kind, str(value)))
-            file = _file(str(value))
+            file = named_file(str(value))
             if file.suffix and not file.exists():
                 raise InputError(f"There is no {kind} file {file}.")
             if kind == "body":
@@ -109,17 +109,11 @@ class JobPlanner:
     def _read(self, value: str) -> tuple[tuple[str, str, str], ...]:
         """The files that are read for a value, with their digests; none for a name."""
         if value not in self._contents:
-            file = _file(value)
+            file = named_file(value)
             is_name = (not file.suffix and "/" not in value) or not file.exists()
             files = () if is_name else with_companions(file)
             self._contents[value] = tuple((value, str(each), digest(each)) for each in files)
         return self._contents[value]
-
-
-def _file(value: str) -> Path:
-    """The file that a value names, without the entry or the person of it."""
-    entry = DictionaryEntry.parse(value)
-    return recording_file(value)[0] if entry is None else entry.path
 
 
 def _needs_motion(body: str, clip: str | None, body_parts: str | None) -> bool:
