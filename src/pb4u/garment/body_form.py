@@ -11,6 +11,7 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.body.joint_names import LIMB_BONES, NECK_BONES, SIDES
 from pb4u.body.skeleton import branch
 from pb4u.errors import InputError
+from pb4u.geometry.triangle_mesh import face_cross_products
 
 _ARM, _LEG = ("upper_arm", "forearm", "hand"), ("thigh", "shin", "foot")
 
@@ -163,7 +164,7 @@ class BodyForm:
         """
         vertices, faces = self.body.vertices, self.body.faces
         a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
-        cross = np.cross(b - a, c - a)
+        cross = face_cross_products(vertices, faces)
         normals = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
         longest = np.linalg.norm(np.stack([b - a, c - b, a - c]), axis=2).max(axis=0)
         points, owner, normal = [], [], []

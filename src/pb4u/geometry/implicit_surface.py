@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from pb4u.geometry.topology import Topology
+from pb4u.geometry.triangle_mesh import face_cross_products
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +158,7 @@ class ImplicitSurface:
         faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
         a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
         _, gradient = self._shape.value_and_gradient((a + b + c) / 3.0)
-        outward = np.einsum("ij,ij->", np.cross(b - a, c - a), gradient)
+        outward = np.einsum("ij,ij->", face_cross_products(vertices, faces), gradient)
         return vertices, faces if outward > 0 else faces[:, ::-1].copy()
 
 
