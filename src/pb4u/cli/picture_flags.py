@@ -34,7 +34,7 @@ PICTURE_FLAGS: Mapping[str, Any] = {
     "size": _flag(str | None, "Size of a picture in pixels. Default: 560x800.", "WIDTHxHEIGHT"),
     "colour": _flag(
         list[str] | None,
-        "Colour of the first garment in pictures, as a name or #RRGGBB; given again, of the next. Default: blue.",
+        "Colour of the innermost garment in pictures, as a name or #RRGGBB; given again, of the next. Default: blue.",
         "NAME|#RRGGBB",
     ),
     "background": _flag(

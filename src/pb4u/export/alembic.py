@@ -12,6 +12,7 @@ import numpy as np
 
 from pb4u.errors import extra
 from pb4u.export.incomplete_file import incomplete
+from pb4u.export.pieces import pieces
 from pb4u.export.shading import unit_normals
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.author_mesh import Polygons
@@ -74,18 +75,24 @@ def _write_quietly(trajectory: Trajectory, path: Path) -> None:
 
 
 def _write(trajectory: Trajectory, path: Path) -> None:
-    from alembic3d import Abc, AbcCoreAbstract
+    from alembic3d import Abc, AbcCoreAbstract, AbcGeom
 
     header, fps = trajectory.header, float(trajectory.fps)
     archive = Abc.CreateArchiveWithInfo(str(path), fps, "pb4u", "metres, Y up")
     # The library crashes on a sampling that is handed to a mesh; the archive takes it, and meshes name its index.
     sampling = archive.addTimeSampling(AbcCoreAbstract.TimeSampling(1.0 / fps, 0.0))
     top = archive.getTop()
-    garment = _Mesh(top, "Garment", header.outlines, header.faces, header.uvs, sampling)
+    worn = pieces(header)
+    place = top if len(worn) == 1 else AbcGeom.OXform(top, "Garment")
+    garments = []
+    for piece in worn:
+        own = piece.header
+        garments.append((piece.vertices, _Mesh(place, piece.name, own.outlines, own.faces, own.uvs, sampling)))
     skin = Polygons.of_triangles(header.body_faces, None)
     body = _Mesh(top, "Body", skin, header.body_faces, None, sampling)
     for positions, body_positions in zip(trajectory.positions, trajectory.body_positions, strict=True):
-        garment.sample(positions)
+        for vertices, garment in garments:
+            garment.sample(positions[vertices])
         body.sample(body_positions)
 
 

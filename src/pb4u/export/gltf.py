@@ -20,6 +20,7 @@ from pb4u.errors import warn
 from pb4u.export.bone_baking import BakedBones, bake_bones
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.panels import SewnPanels
+from pb4u.export.pieces import pieces
 from pb4u.export.sewing_lines import sewn_parts
 from pb4u.export.shading import SKIN, ClothPart
 from pb4u.export.shape_basis import ShapeBasis, fit_shapes
@@ -59,28 +60,30 @@ def write_glb(
         How far off bones leave the garment, as a predicate without its subject; None without them.
     """
     header, frames = trajectory.header, trajectory.frame_count
-    passes = 2 if body else 1
+    worn, (cloth, _) = pieces(header), sewn_parts(header)
+    passes = len(worn) + body
     binary = path.with_name(f"{path.name}.bin")
     try:
         with binary.open("wb") as file:
             document = _Document(file, trajectory, bones)
-            uv = (header.uvs, header.uv_faces)
-            cloth, _ = sewn_parts(header)
-            document.add_surface(
-                "garment", trajectory.positions, header.faces, uv, cloth, _part(progress, 0, passes),
-                SewnPanels.of(header),
-            )  # fmt: skip
+            for number, piece in enumerate(worn):
+                own = piece.header
+                document.add_surface(
+                    "garment" if len(worn) == 1 else piece.name, trajectory.positions[:, piece.vertices], own.faces,
+                    (own.uvs, own.uv_faces), piece.looks(cloth), _part(progress, number * frames, passes),
+                    SewnPanels.of(own),
+                )  # fmt: skip
             if body:
                 skin = [ClothPart("body", np.arange(len(header.body_faces)), SKIN)]
                 document.add_surface(
                     "body", trajectory.body_positions, header.body_faces, (None, None), skin,
-                    _part(progress, frames, passes),
+                    _part(progress, len(worn) * frames, passes),
                 )  # fmt: skip
             described = document.finished()
         _assemble(described, binary, path)
     finally:
         binary.unlink(missing_ok=True)
-    return document.told
+    return None if document.farthest is None else _told_of(document.farthest)
 
 
 def _part(progress: Progress, before: int, passes: int) -> Progress:
@@ -107,7 +110,7 @@ class _Document:
     def __init__(self, file: BinaryIO, trajectory: Trajectory, bones: int | None) -> None:
         self._file = file
         self._bones = bones
-        self.told: str | None = None
+        self.farthest: BakedBones | None = None
         self._frames = trajectory.frame_count
         self._times: int | None = None
         self._seconds = (np.arange(self._frames) / trajectory.fps).astype(np.float32)
@@ -182,8 +185,8 @@ class _Document:
         if baked is not None:
             self._add_skin(node, baked)
             extras |= {"largest_error": baked.largest_error, "rms_error": baked.rms_error}
-            if name == "garment":
-                self.told = _told_of(baked)
+            if name != "body" and (self.farthest is None or baked.rms_error > self.farthest.rms_error):
+                self.farthest = baked
 
     def _attributes(self, basis: ShapeBasis, of_vertex: np.ndarray, uvs: np.ndarray | None) -> dict[str, int]:
         """Places, normals and UVs of the written vertices, copies of those `of_vertex` (written,)."""

@@ -66,7 +66,10 @@ def cloth_parts(header: TrajectoryHeader, chosen: Sequence[Colour] = ()) -> list
         for look in np.unique(of_face[owner == k]).tolist():
             faces = np.flatnonzero((owner == k) & (of_face == look))
             if looks is None or look < 0:
-                parts.append(ClothPart("garment" if count == 1 else f"garment {k + 1}", faces, tuple(usual)))
+                name = "garment" if count == 1 else f"garment {k + 1}"
+                if 1 < count == len(header.garments):
+                    name = str(header.garments[k]["name"])
+                parts.append(ClothPart(name, faces, tuple(usual)))
             else:
                 given = looks.listed[look]
                 parts.append(ClothPart(given.name, faces, given.colour, given.image))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ from pb4u.errors import extra
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.incomplete_file import incomplete
 from pb4u.export.panels import SewnPanels
+from pb4u.export.pieces import Piece, pieces
 from pb4u.export.shading import CLOTH, SKIN, ClothPart, cloth_parts, unit_normals
 from pb4u.geometry.appearance import image_suffix
 from pb4u.progress import Progress, no_progress
@@ -44,6 +46,7 @@ def check_usd(path: Path) -> None:
 def write_usd(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:
     """Write one USD stage: /Scene with the meshes Garment and Body, no transforms; metres, Y up, one time code a frame.
 
+    Several garments are meshes below Garment, by their names.
     Points, normals and extent are sampled at every frame; the author's polygons stay polygons; UVs are the
     face-varying `primvars:st`; images are written beside the file as NAME.texture0.png, or into a .usdz. The frames
     that `hold_finite` replaced are listed in the custom layer data.
@@ -91,15 +94,24 @@ def _write_binary(trajectory: Trajectory, path: Path, beside: Path, progress: Pr
     held = held_frames(trajectory)
     if held:
         stage.GetRootLayer().customLayerData = {"pb4u": {HELD_FRAMES: _ints(held)}}
-    outlines = header.outlines
-    garment = _AnimatedMesh(_define(stage, "/Scene/Garment", outlines, CLOTH), header.faces)
-    _colour_cloth(stage, garment.mesh, header, beside)
-    _add_uvs(garment.mesh, header.uvs, outlines.uv_corners)
-    _add_panels(garment.mesh, header)
+    worn, parts, garments = pieces(header), cloth_parts(header), []
+    images: dict[bytes, str] = {}
+    if len(worn) > 1:
+        UsdGeom.Xform.Define(stage, "/Scene/Garment")
+    for piece, prim in zip(worn, _prims([piece.name for piece in worn]), strict=True):
+        outlines = piece.header.outlines
+        mesh = _define(stage, prim, outlines, CLOTH)
+        mesh.GetPrim().SetDisplayName(piece.name)
+        if len(parts) > 1 or header.appearances is not None:
+            _colour_cloth(stage, mesh, piece, piece.looks(parts), images, beside)
+        _add_uvs(mesh, piece.header.uvs, outlines.uv_corners)
+        _add_panels(mesh, piece.header)
+        garments.append((piece.vertices, _AnimatedMesh(mesh, piece.header.faces)))
     skin = Polygons.of_triangles(header.body_faces, None)
     body = _AnimatedMesh(_define(stage, "/Scene/Body", skin, SKIN), header.body_faces)
     for t, (positions, body_positions) in enumerate(zip(trajectory.positions, trajectory.body_positions, strict=True)):
-        garment.sample(t, positions)
+        for vertices, garment in garments:
+            garment.sample(t, positions[vertices])
         body.sample(t, body_positions)
         if t % _FRAMES_BETWEEN_SAVES == _FRAMES_BETWEEN_SAVES - 1:
             stage.Save()
@@ -141,24 +153,40 @@ def _define(stage: Usd.Stage, name: str, polygons: Polygons, colour: tuple[float
     return mesh
 
 
-def _colour_cloth(stage: Usd.Stage, mesh: UsdGeom.Mesh, header: TrajectoryHeader, path: Path) -> None:
-    """Display colours polygon by polygon, and a material with its image, beside the file, where the author gave one.
+def _prims(names: Sequence[str]) -> list[str]:
+    """Where the meshes of garments of these names stand: one is the garment, several are below it."""
+    from pxr import Tf
 
-    A single garment without any keeps the colour of the whole.
-    """
+    if len(names) == 1:
+        return ["/Scene/Garment"]
+    prims: list[str] = []
+    for name in names:
+        prim = f"/Scene/Garment/{Tf.MakeValidIdentifier(name)}"
+        prims.append(f"{prim}_{len(prims) + 1}" if prim in prims else prim)
+    return prims
+
+
+def _colour_cloth(
+    stage: Usd.Stage,
+    mesh: UsdGeom.Mesh,
+    piece: Piece,
+    parts: Sequence[ClothPart],
+    images: dict[bytes, str],
+    path: Path,
+) -> None:
+    """Display colours polygon by polygon, and a material with its image, beside the file, where the author gave one."""
     from pxr import UsdGeom, UsdShade, Vt
 
-    parts, outlines = cloth_parts(header), header.outlines
+    header, outlines = piece.header, piece.header.outlines
     part_of_face = np.empty(len(header.faces), dtype=np.int64)
     for k, part in enumerate(parts):
         part_of_face[part.faces] = k
     # The triangles of a polygon follow each other, two fewer than its corners.
     of_polygon = part_of_face[np.cumsum(outlines.sizes - 2) - (outlines.sizes - 2)]
-    if len(parts) > 1 or header.appearances is not None:
-        colours = np.array([part.colour for part in parts])[of_polygon].astype(np.float32)
-        mesh.CreateDisplayColorAttr(Vt.Vec3fArray.FromNumpy(colours))
-        UsdGeom.PrimvarsAPI(mesh).GetPrimvar("displayColor").SetInterpolation(UsdGeom.Tokens.uniform)
-    images: dict[bytes, str] = {}
+    colours = np.array([part.colour for part in parts])[of_polygon].astype(np.float32)
+    mesh.CreateDisplayColorAttr(Vt.Vec3fArray.FromNumpy(colours))
+    UsdGeom.PrimvarsAPI(mesh).GetPrimvar("displayColor").SetInterpolation(UsdGeom.Tokens.uniform)
+    own = mesh.GetPrim().GetName()
     for k, part in enumerate(parts if header.appearances is not None else ()):
         if part.image is not None and part.image not in images:
             images[part.image] = f"{path.stem}.texture{len(images)}{image_suffix(part.image)}"
@@ -166,14 +194,16 @@ def _colour_cloth(stage: Usd.Stage, mesh: UsdGeom.Mesh, header: TrajectoryHeader
         subset = UsdGeom.Subset.CreateGeomSubset(
             mesh, f"part_{k}", UsdGeom.Tokens.face, _ints(np.flatnonzero(of_polygon == k)), "materialBind"
         )
-        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(_material(stage, k, part, images))
+        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(
+            _material(stage, f"part_{k}" if own == "Garment" else f"{own}_{k}", part, images)
+        )
 
 
-def _material(stage: Usd.Stage, number: int, part: ClothPart, images: dict[bytes, str]) -> UsdShade.Material:
+def _material(stage: Usd.Stage, own: str, part: ClothPart, images: dict[bytes, str]) -> UsdShade.Material:
     """A preview surface of the part's colour, or of its image, by the name of its file."""
     from pxr import Gf, Sdf, UsdShade
 
-    name = f"/Scene/Materials/part_{number}"
+    name = f"/Scene/Materials/{own}"
     material = UsdShade.Material.Define(stage, name)
     material.GetPrim().SetDisplayName(part.name)
     surface = UsdShade.Shader.Define(stage, f"{name}/surface")

@@ -1,0 +1,91 @@
+"""The garments of an outfit one by one: other programs take each as an object of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pb4u.export.shading import ClothPart
+from pb4u.scene.author_mesh import Polygons
+from pb4u.scene.trajectory import TrajectoryHeader
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """One garment of a trajectory.
+
+    Args:
+        name: of the garment; no two of a trajectory have the same.
+        vertices: those of the trajectory that are its own.
+        faces: (faces,) int64 those of the trajectory that are its own.
+        header: of a trajectory of this garment alone, without the author's other mesh.
+    """
+
+    name: str
+    vertices: slice
+    faces: np.ndarray
+    header: TrajectoryHeader
+
+    def looks(self, parts: Sequence[ClothPart]) -> list[ClothPart]:
+        """The parts that are of this garment, their faces counted in its own.
+
+        Args:
+            parts: of the trajectory, each of one garment.
+        """
+        own = [part for part in parts if np.isin(part.faces[:1], self.faces).all()]
+        return [replace(part, faces=np.searchsorted(self.faces, part.faces)) for part in own]
+
+
+def pieces(header: TrajectoryHeader) -> list[Piece]:
+    """The garments of a trajectory; one that is called "Garment" where there is no more than one.
+
+    Args:
+        header: of the trajectory.
+    """
+    owner = np.asarray(header.vertex_garment)
+    firsts = np.flatnonzero(np.diff(owner, prepend=-1))
+    described = header.garments
+    if len(firsts) < 2 or len(firsts) != len(described) or len(np.unique(owner)) != len(firsts):
+        return [Piece("Garment", slice(0, len(owner)), np.arange(len(header.faces)), header)]
+    names: list[str] = []
+    for garment in described:
+        name = str(garment["name"])
+        names.append(f"{name} {names.count(name) + 1}" if name in names else name)
+    ends = [*firsts[1:].tolist(), len(owner)]
+    return [
+        _piece(header, k, name, slice(first, end))
+        for k, (name, first, end) in enumerate(zip(names, firsts.tolist(), ends, strict=True))
+    ]
+
+
+def _piece(header: TrajectoryHeader, k: int, name: str, vertices: slice) -> Piece:
+    first, count = vertices.start, vertices.stop - vertices.start
+    faces = np.flatnonzero((header.faces[:, 0] >= first) & (header.faces[:, 0] < vertices.stop))
+    outlines = header.outlines
+    starts = outlines.corners[np.cumsum(outlines.sizes) - outlines.sizes]
+    polygons = (starts >= first) & (starts < vertices.stop)
+    corners = np.repeat(polygons, outlines.sizes)
+    uvs, uv_faces, uv_corners = header.uvs, None, None
+    if uvs is not None and header.uv_faces is not None and outlines.uv_corners is not None:
+        points = np.unique(np.r_[header.uv_faces[faces].ravel(), outlines.uv_corners[corners]])
+        uvs, uv_faces = uvs[points], np.searchsorted(points, header.uv_faces[faces])
+        uv_corners = np.searchsorted(points, outlines.uv_corners[corners])
+    own = Polygons(outlines.sizes[polygons], outlines.corners[corners] - first, uv_corners)
+    described = header.garments[k] | {"vertices": [0, count], "triangles": [0, len(faces)]}
+    alone = replace(
+        header,
+        metadata={**header.metadata, "garments": [described]},
+        faces=header.faces[faces] - first,
+        rest_positions=header.rest_positions[vertices],
+        pinned=header.pinned[vertices],
+        vertex_garment=np.zeros(count, dtype=np.int32),
+        uvs=uvs,
+        uv_faces=uv_faces,
+        source=None,
+        rest_uv=None if header.rest_uv is None else header.rest_uv[faces],
+        polygons=None if header.polygons is None else own,
+        appearances=None if header.appearances is None else header.appearances.at(faces),
+    )
+    return Piece(name, vertices, faces, alone)
