@@ -12,7 +12,7 @@ from tests.export.readers import Glb
 from pb4u.export.pieces import pieces
 from pb4u.export.registry import export
 from pb4u.export.shading import cloth_parts
-from pb4u.scene.trajectory import Trajectory
+from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
 
 
 @pytest.fixture
@@ -24,7 +24,9 @@ def outfit(trajectory: Trajectory) -> Trajectory:
          "triangles": [k * faces, (k + 1) * faces]}
         for k, name in enumerate(("tank top", "cardigan"))
     ]  # fmt: skip
-    wide = np.float32((1.5, 1.0, 1.5))
+    wide = np.array((1.5, 1.0, 1.5), dtype=np.float32)
+    assert header.uvs is not None
+    assert header.uv_faces is not None
     joined = replace(
         header,
         faces=np.concatenate([header.faces, header.faces + count]),
@@ -40,14 +42,19 @@ def outfit(trajectory: Trajectory) -> Trajectory:
     return Trajectory(joined, positions, np.zeros_like(positions), trajectory.body_positions)
 
 
+def uv_corners(header: TrajectoryHeader) -> np.ndarray:
+    assert header.uvs is not None
+    assert header.uv_faces is not None
+    return np.asarray(header.uvs[header.uv_faces])
+
+
 def test_pieces_are_the_garments_one_by_one(outfit: Trajectory, trajectory: Trajectory) -> None:
     inner, outer = pieces(outfit.header)
     assert (inner.name, outer.name) == ("tank top", "cardigan")
     np.testing.assert_array_equal(outer.header.faces, trajectory.faces)
     np.testing.assert_array_equal(outfit.positions[0][outer.vertices][:, 1], trajectory.positions[0][:, 1])
-    np.testing.assert_allclose(
-        outer.header.uvs[outer.header.uv_faces], 0.5 * trajectory.header.uvs[trajectory.header.uv_faces]
-    )
+    halved = 0.5 * uv_corners(trajectory.header)
+    np.testing.assert_allclose(uv_corners(outer.header), halved)
     assert [garment["vertices"] for garment in outer.header.garments] == [[0, len(trajectory.positions[0])]]
     (look,) = outer.looks(cloth_parts(outfit.header))
     assert (look.name, look.faces.tolist()) == ("cardigan", list(range(len(trajectory.faces))))
