@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,24 @@ def test_a_body_from_arrays_is_worn_by(skirt: pb4u.Garment) -> None:
         pb4u.make_scene("tshirt", woman.vertices)
     with pytest.raises(pb4u.InputError, match=r"The garment is an array; give .*pb4u\.Garment"):
         pb4u.make_scene(skirt.vertices)
+
+
+def test_the_ground_is_put_under_a_body_that_does_not_stand_on_it(skirt: pb4u.Garment) -> None:
+    woman, heights = pb4u.load_body("woman"), list[np.ndarray]()
+    for down in (0.0, 0.95):
+        shift = np.array([0.0, down, 0.0])
+        body = pb4u.body_from_arrays(np.stack([woman.vertices - shift] * 2), woman.faces, name="me")
+        mine = garment(skirt, vertices=skirt.vertices - shift, pinned=skirt.pinned)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always", pb4u.InputWarning)
+            scene = pb4u.make_scene(mine, body, frames=2, lead_in=0)
+        said = [note for note in scene.notes if "below height 0, so the ground is put there" in note]
+        assert (len(said), said) == (down > 0.0, [str(each.message) for each in told if "ground" in str(each.message)])
+        assert scene.ground_height == pytest.approx(-down, abs=0.02)
+        made = pb4u.load_simulator("quick-solver").simulate(scene, pb4u.no_progress)
+        heights.append(np.asarray(made.positions)[-1, :, 1] + down)
+    # It was crushed on the ground before: 15 cm high.
+    assert np.ptp(heights[1]) == pytest.approx(np.ptp(heights[0]), abs=0.01)
 
 
 def test_a_scene_is_shown_in_five_lines_and_is_not_measured(skirt: pb4u.Garment) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import PosedBody, ShapedBody
-from pb4u.errors import refuse_unknown
+from pb4u.errors import refuse_unknown, warn
 from pb4u.garment.corrected_placement import CorrectedPlacement
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
 from pb4u.garment.fit import RestBody
@@ -22,6 +22,9 @@ from pb4u.run import Run, WornGarment, entries
 from pb4u.scene.loaded_garments import load_garments
 from pb4u.scene.moving_body import perform
 from pb4u.scene.scene import DressedGarment, Scene
+
+_SUNKEN = 0.05
+"""Depth [m] under the ground from which on a body does not stand on it; feet of a body that does sink in less."""
 
 GarmentChoice: TypeAlias = str | Path | Garment | WornGarment
 
@@ -49,8 +52,9 @@ def make_scene(
         InputError: anything cannot be used, or what is given with a loaded object conflicts with it.
 
     Warns:
-        InputWarning: the body does not perform the motion, nothing holds a garment up that comes from a file and is
-            given without pins, or skin may show through a garment that is coarse for the body.
+        InputWarning: the body does not perform the motion or does not stand on the ground, nothing holds a garment up
+            that comes from a file and is given without pins, or skin may show through a garment that is coarse for the
+            body.
     """
     known = ("material", "pins", "triangles", *entries("scene"))
     refuse_unknown("option of a scene", options, known)
@@ -89,6 +93,8 @@ def build_scene(run: Run) -> Scene:
     if run.keep_lead_in and lead_in:
         notes = (*notes, f"The first {lead_in} frames lead from the rest pose into the motion.")
         frames, lead_in = lead_in + frames, 0
+    ground_height, more = _ground(run, collider, lead_in + frames)
+    notes = (*notes, *more)
     sources = [str(each.garment) if isinstance(each.garment, str | Path) else None for each in specified]
     return Scene(
         garments=tuple(dressed),
@@ -96,8 +102,7 @@ def build_scene(run: Run) -> Scene:
         frames=frames,
         lead_in=lead_in,
         fps=run.fps,
-        # A recording that is played as it is stands at whatever height it has.
-        ground_height=None if run.as_recorded else Scene.ground_height,
+        ground_height=ground_height,
         seed=run.seed,
         labels={
             "garment": "+".join(each.garment.name for each in dressed),
@@ -108,6 +113,23 @@ def build_scene(run: Run) -> Scene:
         },
         notes=notes,
     )
+
+
+def _ground(run: Run, collider: AnimatedBody, frames: int) -> tuple[float | None, tuple[str, ...]]:
+    """Height [m] of the ground of all `frames`, and what is to be told of it."""
+    if run.as_recorded:
+        # A recording that is played as it is stands at whatever height it has.
+        return None, ()
+    usual = Scene.ground_height
+    if isinstance(collider, PosedBody):
+        # What has bones was put on the ground when its motion was made.
+        return usual, ()
+    lowest = min(float(collider.positions(frame, frame + 1)[..., 1].min()) for frame in range(frames))
+    if usual is None or lowest > usual - _SUNKEN:
+        return usual, ()
+    note = f"{collider.name} reaches {usual - lowest:.2f} m below height 0, so the ground is put there."
+    warn(note)
+    return lowest, (note,)
 
 
 def _placement(garment: Garment, collider: AnimatedBody, worn: np.ndarray | None) -> Placement:
