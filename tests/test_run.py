@@ -118,3 +118,11 @@ def test_another_frame_rate_covers_the_same_stretch_of_time() -> None:
 )
 def test_the_file_that_a_value_names(value: str | Path, file: str) -> None:
     assert named_file(value) == Path(file)
+
+
+def test_another_motion_is_played_at_its_own_rate() -> None:
+    first = Run(motion="a.bvh", recorded_fps=60.0, crop=(0, 50), raw_motion=True)
+    other = first.with_entries({"motion": "b.bvh"})
+    assert (other.recorded_fps, other.crop, other.raw_motion) == (None, None, False)
+    assert first.with_entries({"motion": "b.bvh", "recorded_fps": 24.0}).recorded_fps == 24.0
+    assert first.with_entries({"frames": 9}).recorded_fps == 60.0

@@ -233,7 +233,8 @@ class Run:
         Args:
             given: value by name. `garment` is one, or a list, inner first, and replaces all garments with what belongs
                 to them; the other entries of a garment are one for all, or a list with one each, None for what stays.
-                `body` replaces what belongs to it too (shape, clip, parts, what is omitted), `motion` crop and clip.
+                `body` replaces what belongs to it too (shape, clip, parts, what is omitted), `motion` crop, clip,
+                recorded_fps and raw_motion.
             folder: folder from which relative files are found; None leaves them as they are.
 
         Raises:
@@ -252,8 +253,13 @@ class Run:
                     each if value is None else replace(each, **{name: value})
                     for each, value in zip(worn, each_one, strict=True)
                 ]
-        belongings = {"body": ("clip", "body_parts", "omitted"), "motion": ("crop", "clip")}
-        replaced = {other: None for name, others in belongings.items() if name in values for other in others}
+        belongings = {
+            "body": ("clip", "body_parts", "omitted"),
+            "motion": ("crop", "clip", "recorded_fps", "raw_motion"),
+        }
+        replaced = {
+            other: getattr(Run, other) for name, others in belongings.items() if name in values for other in others
+        }
         shape: dict[str, Any] = {"body_shape": {}} if "body" in values else {}
         return replace(self, garments=tuple(worn), **{**replaced, **shape, **values})
 
