@@ -72,6 +72,8 @@ def test_one_garment_is_not_worn_twice_but_files_of_one_name_are() -> None:
         Run((shirt, replace(shirt, triangles=900)))
     with pytest.raises(InputError, match="shirt is worn twice"):
         Run((WornGarment("a/shirt.obj"), WornGarment(Path("a/shirt.obj"))))
+    with pytest.raises(InputError, match="shirt is worn twice"):
+        Run((WornGarment("a/shirt.obj"), WornGarment(Path("a/shirt.obj").absolute())))
     two = Run((WornGarment("a/shirt.obj"), WornGarment("b/shirt.obj")))
     assert [each.name for each in two.garments] == ["shirt", "shirt"]
     loaded = build_garment("tanktop", load_body("woman"), 400)
@@ -126,3 +128,10 @@ def test_another_motion_is_played_at_its_own_rate() -> None:
     assert (other.recorded_fps, other.crop, other.raw_motion) == (None, None, False)
     assert first.with_entries({"motion": "b.bvh", "recorded_fps": 24.0}).recorded_fps == 24.0
     assert first.with_entries({"frames": 9}).recorded_fps == 60.0
+
+
+def test_one_garment_alone_and_a_tuple_of_several_are_taken() -> None:
+    assert Run(WornGarment("skirt")) == Run((WornGarment("skirt"),))
+    given = {"garment": ("tshirt", "skirt"), "triangles": (900, None)}
+    worn = Run().with_entries(given).garments
+    assert [(each.name, each.triangles) for each in worn] == [("tshirt", 900), ("skirt", None)]

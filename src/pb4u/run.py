@@ -99,7 +99,7 @@ class Run:
     """Garments on a moving body, by name, by path or as loaded objects, and how they are simulated.
 
     Args:
-        garments: Garments worn, inner first.
+        garments: Garments worn, inner first; in Python one alone too.
         body: woman, man, anny (extra), a model file of the SMPL family, a rigged character (.glb, .gltf, .vrm),
             or a sequence of vertices.
         body_shape: Shape of the body, such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of a file of the SMPL
@@ -177,7 +177,8 @@ class Run:
     omitted: Annotated[str | Path | None, Flag(RESEARCH, "FILE", is_file=True)] = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "garments", tuple(self.garments))
+        alone = isinstance(self.garments, WornGarment)
+        object.__setattr__(self, "garments", (self.garments,) if alone else tuple(self.garments))
         object.__setattr__(self, "body_shape", _checked_shape(self.body_shape))
         if self.crop is not None:
             object.__setattr__(self, "crop", _checked_crop(self.crop))
@@ -245,7 +246,7 @@ class Run:
         worn: Sequence[WornGarment] = self.garments
         if "garment" in values:
             named = values.pop("garment")
-            worn = [WornGarment(each) for each in (named if isinstance(named, list) else [named])]
+            worn = [WornGarment(each) for each in (named if isinstance(named, list | tuple) else [named])]
         for name in entries("garments"):
             if name in values:
                 each_one = _one_each(name, values.pop(name), len(worn))
@@ -327,14 +328,14 @@ def names_file(name: str, value: object) -> bool:
 
 
 def located(name: str, value: Any, folder: Path | None) -> Any:
-    """The value of an entry as it is read, or each of a list of them, files found from a folder.
+    """The value of an entry as it is read, or a list of each of several, files found from a folder.
 
     Args:
         name: of the entry.
         value: of it; what is a `Path` already stays as it is.
         folder: from which relative files are found; None leaves them as they are.
     """
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return [located(name, each, folder) for each in value]
     return folder / value if folder is not None and isinstance(value, str) and names_file(name, value) else value
 
@@ -390,7 +391,7 @@ def _are_pairs(value: object) -> bool:
 
 def _is_same(garment: object, other: object) -> bool:
     if isinstance(garment, str | Path) and isinstance(other, str | Path):
-        return Path(garment) == Path(other)
+        return Path(garment).resolve() == Path(other).resolve()
     return garment is other
 
 
