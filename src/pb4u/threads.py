@@ -13,6 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from itertools import count
+from threading import Lock
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
@@ -52,18 +53,51 @@ def without_library_threads() -> Iterator[None]:
     Of torch that holds for this thread alone, of numpy and scipy for the whole process. Torch's own setting would be
     that of every thread begun meanwhile, for good.
     """
-    with _controller().limit(limits=1):
+    with _controller("openmp").limit(limits=1), _products_limited:
         yield
 
 
+class _ProductsLimited:
+    """One thread for products while any thread is inside: the first limits them, the last restores what there was.
+
+    What each found on its own would be the limit of the other, where one leaves before the other does.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._before = Lock(), 0, list[int]()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            libraries = _controller("blas").lib_controllers
+            if not self._inside:
+                self._before = [each.num_threads for each in libraries]
+                self._set([1] * len(libraries))
+            self._inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                self._set(self._before)
+
+    @staticmethod
+    def _set(counts: list[int]) -> None:
+        for library, threads in zip(_controller("blas").lib_controllers, counts, strict=True):
+            # Newer versions of threadpoolctl let only the thread restore that limited, which may be gone.
+            getattr(library, "_real_set_num_threads", library.set_num_threads)(threads)
+
+
+_products_limited = _ProductsLimited()
+
+
 @cache
-def _controller() -> ThreadpoolController:
-    """Finds the libraries that have threads, which takes 3 ms."""
+def _controller(kind: str) -> ThreadpoolController:
+    """Finds the libraries of a kind, "blas" or "openmp", that have threads, which takes 3 ms."""
     import scipy.linalg  # noqa: F401  # has the library of compiled products
     import torch  # noqa: F401  # both are loaded first, so that their libraries are found
     from threadpoolctl import ThreadpoolController
 
-    return ThreadpoolController()
+    return ThreadpoolController().select(user_api=kind)
 
 
 def parallel_map(function: Callable[[Part], Result], parts: Sequence[Part]) -> list[Result]:

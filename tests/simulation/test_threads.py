@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import threadpoolctl
 import torch
 from ball_scene import ball_scene
 
@@ -16,7 +17,7 @@ import pb4u
 import pb4u.threads
 from pb4u.collision import surface_tree
 from pb4u.physics import step_potential
-from pb4u.threads import prefetch
+from pb4u.threads import prefetch, without_library_threads
 
 THREADS = 2
 
@@ -58,6 +59,30 @@ def test_two_simulations_and_two_measurements_at_once_are_those_one_after_anothe
     assert [count for _, count in results] == [THREADS] * 4
     with ThreadPoolExecutor(1) as fresh:
         assert fresh.submit(torch.get_num_threads).result() == torch.get_num_threads() == THREADS
+
+
+def product_threads() -> list[int]:
+    return [each["num_threads"] for each in threadpoolctl.threadpool_info() if each["user_api"] == "blas"]
+
+
+def test_products_have_their_threads_again_after_the_last_of_two_that_overlap() -> None:
+    inside, outside = Event(), Event()
+
+    def second() -> None:
+        with without_library_threads():
+            inside.set()
+            assert outside.wait(60)
+            assert set(product_threads()) == {1}
+
+    with threadpoolctl.threadpool_limits(THREADS, user_api="blas"), ThreadPoolExecutor(1) as pool:
+        before = product_threads()
+        assert max(before) > 1
+        with without_library_threads():
+            running = pool.submit(second)
+            assert inside.wait(60)
+        outside.set()
+        running.result()
+        assert product_threads() == before
 
 
 def test_many_short_lived_packs_in_two_threads_are_measured_as_in_one() -> None:
