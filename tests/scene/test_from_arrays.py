@@ -68,6 +68,15 @@ def test_what_no_body_wears_is_noticed(skirt: pb4u.Garment, moved: Any, says: st
         pb4u.make_scene(garment(skirt, vertices=moved(skirt.vertices)), "woman", frames=1, lead_in=0)
 
 
+def test_vertices_that_no_face_has_are_counted_and_refused(skirt: pb4u.Garment) -> None:
+    mine = garment(skirt, vertices=[*skirt.vertices, [0.0, 1.0, 0.3], [0.1, 1.0, 0.3]])
+    count = len(skirt.vertices)
+    with pytest.raises(
+        pb4u.InputError, match=rf"^garment mine: 2 of its {count + 2} vertices .*\[{count}, {count + 1}\]"
+    ):
+        pb4u.make_scene(mine, "woman", frames=1, lead_in=0)
+
+
 def test_a_body_from_arrays_is_worn_by(skirt: pb4u.Garment) -> None:
     woman = pb4u.load_body("woman")
     body = pb4u.body_from_arrays(woman.vertices.tolist(), woman.faces.tolist(), name="me")

@@ -75,6 +75,11 @@ def load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garmen
     """
     garment, triangles = worn.garment, worn.triangles
     if isinstance(garment, Garment):
+        if len(loose := garment.topology.isolated_vertices):
+            raise InputError(
+                f"garment {garment.name}: {len(loose)} of its {len(garment.vertices)} vertices are in no face, first "
+                f"{loose[:5].tolist()}; no cloth would carry them, so leave them out."
+            )
         require_near(garment, body)
         cloth = garment.material if worn.material is None else _load_material(worn.material)
         own = tacked(_remeshed(garment, triangles), worn.tacks).with_material(cloth)
