@@ -18,6 +18,7 @@ from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.run import Run
 from pb4u.scene.scene import DressedGarment
+from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.first_frame import AsPlaced, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
@@ -179,6 +180,23 @@ def test_settling_lowers_the_sheet_and_leaves_it_at_rest() -> None:
     assert float(settled.velocities.abs().max()) == 0.0
     flown = OneLongStep().start(timeline, method)
     torch.testing.assert_close(flown.positions, timeline.skinned(0))
+
+
+def test_settling_goes_on_until_every_garment_is_still(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small garment still falls when the mean over it and a large one that lies is below the limit."""
+    scene, small = ball_scene(), sheet(1, side=0.05, height=0.9)
+    worn = (*scene.garments, DressedGarment(small, AttachedPlacement(small, scene.colliders[0])))
+    timeline, steps = Timeline.of(replace(scene, garments=worn)), list[int]()
+    falls = timeline.garments.vertex_garment == 1
+
+    def taken(step: TimeStep, _: StepMethod) -> State:
+        steps.append(len(steps))
+        by = 3e-3 if len(steps) < 4 else 1e-3
+        return replace(step.state, positions=step.state.positions - by * falls[:, None] * torch.tensor([0.0, 1.0, 0.0]))
+
+    monkeypatch.setattr("pb4u.simulation.first_frame.take", taken)
+    Settled().start(timeline, StepMethod())
+    assert len(steps) == 4
 
 
 def test_scene_is_repeatable() -> None:

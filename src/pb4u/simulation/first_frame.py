@@ -89,10 +89,10 @@ class OneLongStep(FirstFrame):
 
 @dataclass(frozen=True)
 class Settled(FirstFrame):
-    """Settling by the solver: long steps from rest, until one moves the cloth by no more than `still`.
+    """Settling by the solver: long steps from rest, until one moves no garment by more than `still`.
 
     Args:
-        still: rms displacement of one settling step [m] at which the garments count as settled.
+        still: rms displacement of one settling step [m] at which a garment counts as settled, and all have to be.
         most_steps: settling steps after which they start anyway; garments fitted to the body take two to four.
         iterations: solver iterations of each settling step.
         solver: makes them; one of its own by default.
@@ -109,9 +109,13 @@ class Settled(FirstFrame):
         refinement = SolverRefinement(self.iterations, self.solver, self.potential)
         settling = StepMethod(refinement=refinement, contact=method.contact, self_contact=method.self_contact)
         begun = state = AsPlaced().start(timeline, method)
+        owner = timeline.garments.vertex_garment
         for _ in range(self.most_steps):
             settled = take(timeline.settling_from(state), settling)
-            moved = float((settled.positions - state.positions).square().sum(1).mean().sqrt())
+            moves = (settled.positions - state.positions).square().sum(1)
+            moved = max(
+                float(moves[owner == number].mean().sqrt()) for number in range(timeline.garments.garment_count)
+            )
             state = replace(begun, positions=settled.positions)
             if moved <= self.still:
                 break
