@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from ball_scene import ball_scene
+from ball_scene import ball_scene, sheet
 from torch import Tensor
 
+from pb4u.collision.crossings import self_crossings
 from pb4u.compat.first_frames import CLEARANCE, MovingStart, SkinnedStart, StandingStart, pushed_out
+from pb4u.garment.dressing import AttachedPlacement
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.colliders import pack_colliders
+from pb4u.scene.scene import DressedGarment
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.timeline import SETTLING_DT, Timeline
 
@@ -74,6 +78,19 @@ def test_a_skinned_start_keeps_the_velocity_of_skinning() -> None:
     assert not asked
     assert torch.equal(states[1].velocities, (timeline.skinned(1) - timeline.skinned(0)) * 30.0)
     assert states[1].velocities.any()
+
+
+@pytest.mark.parametrize("start", [StandingStart(), MovingStart(), SkinnedStart()])
+def test_frames_that_are_skinned_cross_nowhere_where_cloth_feels_cloth(start: Any) -> None:
+    scene, flat = ball_scene(frames=8, lead_in=0), sheet(2, side=0.1, height=0.0)
+    upright = replace(flat, vertices=flat.vertices[:, [1, 0, 2]] + [0.117, 0.71, 0.013])
+    worn = (*scene.garments, DressedGarment(upright, AttachedPlacement(upright, scene.colliders[0])))
+    timeline = Timeline.of(replace(scene, garments=worn))
+    faces = timeline.garments.faces.numpy()
+    assert len(self_crossings(timeline.skinned(0).numpy(), faces)) > 0
+    cloth = IncrementalPotential().with_self_contact().self_contact
+    for state in start.states(timeline, StepMethod(network=Raised(), self_contact=cloth)):
+        assert len(self_crossings(state.positions.numpy(), faces, sharing=True)) == 0, state.frame
 
 
 def test_a_push_takes_vertices_to_the_clearance_of_the_face_with_the_nearest_centre() -> None:

@@ -32,7 +32,7 @@ class StandingStart(FirstFrame):
     push: float = 1.5
 
     def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
-        yield from (timeline.skinned_state(frame) for frame in (0, 1))
+        yield from (untangled(timeline, method, timeline.skinned_state(frame)) for frame in (0, 1))
         begun = timeline.skinned_state(2)
         pushed = pushed_out(begun.positions, timeline.pose(2), self.push)
         begun = untangled(timeline, method, replace(begun, positions=pushed))
@@ -48,7 +48,7 @@ class MovingStart(FirstFrame):
     """MeshGraphNet and the HOOD of the paper: one long step from frame 1 to 2, after which the cloth is at rest."""
 
     def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
-        yield timeline.skinned_state(0)
+        yield untangled(timeline, method, timeline.skinned_state(0))
         skinned = timeline.skinned(1)
         pushed = pushed_out(skinned, timeline.pose(1), 1.0)
         begun = untangled(timeline, method, State(pushed, torch.zeros_like(skinned), 1))
