@@ -6,20 +6,23 @@ from dataclasses import replace
 
 import pytest
 import torch
-from ball_scene import ball_scene
+from ball_scene import ball_scene, sheet
 from test_pierced_edges import pierced
 
+from pb4u.garment.dressing import AttachedPlacement
 from pb4u.geometry.principal_stretch import face_strains
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import free_flight, substep_count
 from pb4u.physics.solver.newton_solver import Solver
 from pb4u.physics.time_step import TimeStep
+from pb4u.scene.scene import DressedGarment
 from pb4u.scene.state import State
 from pb4u.simulation import refinement
 from pb4u.simulation.first_frame import Settled
 from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.pierced_edges import newly_pierced
 from pb4u.simulation.refinement import ImplicitSteps, SafeguardedRefinement, SolverRefinement, past_bodies
+from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.timeline import Timeline
 
@@ -41,7 +44,7 @@ def left_behind(step: TimeStep) -> State:
 def test_a_prediction_near_balance_is_only_refined() -> None:
     made: list[int] = []
     step = first_step(speed=0.3)
-    result = SafeguardedRefinement(5, POTENTIAL, lambda: made.append(1)).refine(step, left_behind(step))
+    result = SafeguardedRefinement(5, POTENTIAL, lambda _: made.append(1)).refine(step, left_behind(step))
     refined = SolverRefinement(5, Solver(refinement._NEAR_BALANCE), POTENTIAL).refine(step, left_behind(step))
     assert torch.equal(result.positions, refined.positions)
     assert not made
@@ -53,7 +56,7 @@ def test_a_prediction_that_iterations_leave_torn_is_made_anew() -> None:
     refined = SolverRefinement(1, potential=POTENTIAL).refine(step, left_behind(step))
     garments = step.garments
     assert face_strains(refined.positions, garments.faces, garments.inverse_rest_shape).max() > 0.6
-    result = SafeguardedRefinement(1, POTENTIAL, lambda: made.append(1)).refine(step, left_behind(step))
+    result = SafeguardedRefinement(1, POTENTIAL, lambda _: made.append(1)).refine(step, left_behind(step))
     assert made == [1]
     solved, energies = ImplicitSteps(potential=POTENTIAL).refine(step, step.state), POTENTIAL.of(step).energies
     over = [float(energies(x.positions).total - energies(solved.positions).total) for x in (refined, result)]
@@ -67,7 +70,7 @@ def test_strained_cloth_that_iterations_free_of_nothing_is_left(
     """A tight shirt: strained in every step, far from balance at a few vertices, and with no energy to lose."""
     made: list[int] = []
     step = first_step(speed=4.0)
-    refining = SafeguardedRefinement(1, POTENTIAL, lambda: made.append(1))
+    refining = SafeguardedRefinement(1, POTENTIAL, lambda _: made.append(1))
     torn = replace(refining.solver.minimise(POTENTIAL.of(step), left_behind(step).positions, 1), decrease=freed)
     assert torn.residual > refinement._BALANCED
     monkeypatch.setattr(refining.solver, "minimise", lambda *_, **__: torn)
@@ -80,7 +83,7 @@ def test_a_prediction_that_iterations_leave_hooked_is_made_anew() -> None:
     step, _ = pierced(-0.08, 0.0)
     refined = SolverRefinement(1, potential=POTENTIAL).refine(step, step.state)
     assert newly_pierced(step, refined.positions) > 0
-    result = SafeguardedRefinement(1, POTENTIAL, lambda: made.append(1)).refine(step, step.state)
+    result = SafeguardedRefinement(1, POTENTIAL, lambda _: made.append(1)).refine(step, step.state)
     assert made == [1]
     assert newly_pierced(step, result.positions) == 0
 
@@ -103,7 +106,9 @@ def test_cloth_that_bodies_turned_aside_is_solved_anew_and_the_less_strained_kep
     monkeypatch: pytest.MonkeyPatch, solves: bool, parts: int
 ) -> None:
     potential = IncrementalPotential().with_self_contact(bodies=True)
-    step, refining = first_step(4.0, potential), SolverRefinement(5, potential=potential)
+    record = RunRecord(solver_iterations=[7, 2])
+    step = first_step(4.0, potential)
+    refining = SolverRefinement(5, potential=potential, retried=record.count_retried)
     edges = 1e-4 * substep_count(step, 1e-4) / min(step.garments.mean_edge_lengths)
     monkeypatch.setattr(refinement, "_EDGES_IN_A_PART", 1.01 * edges / parts)
     behind = step.reached(free_flight(step))
@@ -120,6 +125,25 @@ def test_cloth_that_bodies_turned_aside_is_solved_anew_and_the_less_strained_kep
         assert refinement._failed_faces(step, kept.positions) < strained
     else:
         assert torch.equal(kept.positions, turned.positions)
+    assert record.retried == 1
+    assert record.solver_iterations[0] == 7
+    assert record.solver_iterations[1] > 2
+
+
+def test_a_retry_goes_in_parts_by_the_edges_of_what_is_strained(monkeypatch: pytest.MonkeyPatch) -> None:
+    potential = IncrementalPotential().with_self_contact(bodies=True)
+    scene, fine = ball_scene(speed=4.0), sheet(8, side=0.05, height=1.5)
+    worn = (*scene.garments, DressedGarment(fine, AttachedPlacement(fine, scene.colliders[0])))
+    timeline = Timeline.of(replace(scene, garments=worn))
+    step, asked = timeline.step_from(timeline.skinned_state(0)), list[float]()
+    coarse, least = step.garments.mean_edge_lengths
+    assert least < 0.2 * coarse
+    wide = torch.where(step.garments.vertex_garment[:, None] == 0, 2.0, 1.0) * step.state.positions
+    monkeypatch.setattr(refinement, "past_bodies", lambda _, step, state, apart: replace(state, positions=wide))
+    monkeypatch.setattr(refinement, "substep_count", lambda _, longest: asked.append(longest) or 1)
+    monkeypatch.setattr(refinement, "in_parts", lambda step, *_: (step.state, None))
+    SolverRefinement(5, potential=potential).pressed_past_bodies(step, step.state, potential.self_contact)
+    assert asked == [refinement._EDGES_IN_A_PART * coarse]
 
 
 @pytest.mark.parametrize(

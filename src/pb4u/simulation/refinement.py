@@ -82,6 +82,7 @@ class SolverRefinement:
         iterations: at most this many a step; None goes to the solver's tolerance.
         solver: computes in float64 on the CPU.
         potential: the energies.
+        retried: called with the solution of every retry of a step.
     """
 
     def __init__(
@@ -89,10 +90,12 @@ class SolverRefinement:
         iterations: int | None = None,
         solver: Solver | None = None,
         potential: IncrementalPotential | None = None,
+        retried: Callable[[Solution], None] | None = None,
     ) -> None:
         self.iterations = iterations
         self.solver = solver or Solver()
         self.potential = potential or IncrementalPotential()
+        self.retried = retried
         self._pressing = Solver(_NEAR_BALANCE, settled=_SETTLED)
         self._warm_start = BodyMotionWarmStart()
 
@@ -126,9 +129,9 @@ class SolverRefinement:
         """`state` moved past the bodies; where they turned strained cloth aside, the step retried with their faces.
 
         A retry begins at the body-motion warm start: cloth that was turned aside is crumpled, and takes more iterations
-        to smooth than a step takes to solve. Where the body moves by many edges, the retry goes in parts. It ends where
-        no face is strained, and where no fewer are than a few iterations before: cloth pressed between two limbs stays
-        strained. Of both states the one with fewer strained faces is kept.
+        to smooth than a step takes to solve. Where the body moves by many of its edges, the retry goes in parts. It
+        ends where no face is strained, and where no fewer are than a few iterations before: cloth pressed between two
+        limbs stays strained. Of both states the one with fewer strained faces is kept.
 
         Args:
             step: the time step.
@@ -152,8 +155,12 @@ class SolverRefinement:
             smooth = _Smoothing(part, ends=True)
             return self._pressing.minimise(pressed.of(part), start.positions, most, until=smooth.ended)
 
-        longest = _EDGES_IN_A_PART * min(step.garments.mean_edge_lengths)
-        retried, _ = in_parts(step, substep_count(step, longest), solve)
+        garments = step.garments
+        strained = garments.vertex_garment[garments.faces[_are_failed(step, reached.positions), 0]]
+        longest = _EDGES_IN_A_PART * min(garments.mean_edge_lengths[number] for number in set(strained.tolist()))
+        retried, solution = in_parts(step, substep_count(step, longest), solve)
+        if self.retried:
+            self.retried(solution)
         return retried if _failed_faces(step, retried.positions) < failed else reached
 
 
@@ -168,6 +175,7 @@ class ImplicitSteps(SolverRefinement):
         potential: the energies.
         watch: called with the solution of every step, as `implicit_steps` tells of it.
         start: gives the positions (vertices, 3) [m] that each implicit step starts from.
+        retried: called with the solution of every retry of a step.
     """
 
     def __init__(
@@ -177,8 +185,9 @@ class ImplicitSteps(SolverRefinement):
         potential: IncrementalPotential | None = None,
         watch: Callable[[Solution], None] | None = None,
         start: Callable[[TimeStep], Tensor] = free_flight,
+        retried: Callable[[Solution], None] | None = None,
     ) -> None:
-        super().__init__(iterations, solver, potential)
+        super().__init__(iterations, solver, potential, retried)
         self.watch, self.start = watch, start
 
     def refine(self, step: TimeStep, predicted: State) -> State:
@@ -197,17 +206,16 @@ class SafeguardedRefinement(SolverRefinement):
     Args:
         iterations: at most this many after a prediction; fewer where the cloth is near balance before.
         potential: the energies.
-        retried: called for every step that is retried.
+        retried: called with the solution of every retry of a step.
     """
 
     def __init__(
         self,
         iterations: int,
         potential: IncrementalPotential | None = None,
-        retried: Callable[[], None] | None = None,
+        retried: Callable[[Solution], None] | None = None,
     ) -> None:
-        super().__init__(iterations, Solver(_NEAR_BALANCE, settled=_SETTLED), potential)
-        self.retried = retried
+        super().__init__(iterations, Solver(_NEAR_BALANCE, settled=_SETTLED), potential, retried)
         self._rough = Solver(_ROUGH_TOLERANCE)
 
     def refine(self, step: TimeStep, predicted: State) -> State:
@@ -223,7 +231,7 @@ class SafeguardedRefinement(SolverRefinement):
 
         state, solved = in_parts(step, substep_count(step), solve)
         if self.retried:
-            self.retried()
+            self.retried(solved)
         better = (newly_pierced(step, state.positions), solved.residual) < (pierced, refined.residual)
         return state if better else step.reached(refined.positions)
 
@@ -255,8 +263,13 @@ def _most_iterations(step: TimeStep) -> int:
 
 
 def _failed_faces(step: TimeStep, x: Tensor) -> int:
+    return int(_are_failed(step, x).sum())
+
+
+def _are_failed(step: TimeStep, x: Tensor) -> Tensor:
+    """Whether each face (faces,) is strained beyond measure at `x` (vertices, 3) [m]."""
     garments = step.garments
-    return int((face_strains(x, garments.faces, garments.inverse_rest_shape) > _FAILED_STRAIN).sum())
+    return face_strains(x, garments.faces, garments.inverse_rest_shape) > _FAILED_STRAIN
 
 
 def collision_free_move(self_contact: CollisionFree | None, step: TimeStep, before: State, wanted: State) -> State:

@@ -17,6 +17,7 @@ import torch
 from pb4u import __version__
 from pb4u.body.body_model import PosedBody
 from pb4u.errors import Pb4uError, interrupt_behind
+from pb4u.physics.solver.newton_solver import Solution
 from pb4u.progress import Progress, no_progress, progress_or_bar
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
@@ -36,7 +37,8 @@ class RunRecord:
         failed_at: written frame at which the state stopped being finite, or None.
         solver_iterations: iterations the solver made, per step.
         unsolved: steps that the solver left above its tolerance.
-        retried: steps that a few iterations of the solver left failed, and that it made again.
+        retried: times that the solver made a step again, because a few iterations left it failed or bodies turned
+            strained cloth aside.
     """
 
     step_seconds: list[float] = field(default_factory=list)
@@ -45,8 +47,15 @@ class RunRecord:
     unsolved: int = 0
     retried: int = 0
 
-    def count_retried(self) -> None:
+    def count_retried(self, solution: Solution) -> None:
+        """Count a retry, and its iterations where those of its step are counted.
+
+        Args:
+            solution: of the retry.
+        """
         self.retried += 1
+        if self.solver_iterations:
+            self.solver_iterations[-1] += solution.iterations
 
     def lost_early(self) -> Pb4uError:
         """What to raise where there is no frame to write."""

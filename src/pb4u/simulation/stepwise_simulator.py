@@ -167,7 +167,9 @@ class SolverSimulator(StepwiseSimulator):
             record.solver_iterations.append(solution.iterations)
             record.unsolved += not solution.converged
 
-        refinement = ImplicitSteps(self.iterations, potential=self.potential, watch=note, start=self.start)
+        refinement = ImplicitSteps(
+            self.iterations, potential=self.potential, watch=note, start=self.start, retried=record.count_retried
+        )
         return StepMethod(refinement=refinement, contact=self.contact, self_contact=self.potential.self_contact)
 
 
