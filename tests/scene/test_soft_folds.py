@@ -100,6 +100,17 @@ def hung(body: AnimatedBody, frames: int) -> Scene:
     return Scene((DressedGarment(garment, placed),), (body,), frames, 0, gravity=gravity, ground_height=None)
 
 
+@pytest.mark.parametrize(
+    ("contact", "self_contact", "is_open"), [(True, False, True), (True, True, True), (False, False, False)]
+)
+def test_folds_are_open_to_contact_alone(contact: bool, self_contact: bool, is_open: bool) -> None:
+    body = pressed(0.09)
+    simulator = load_simulator("quick-solver", contact=contact, self_contact=self_contact)
+    seen = simulator.timeline(hung(body, 1)).body(0).float()
+    expected = SoftFolds(body) if is_open else body
+    assert torch.equal(seen, expected.positions(0, 1)[0])
+
+
 def between(folds: Callable[[AnimatedBody], AnimatedBody | SoftFolds], monkeypatch: pytest.MonkeyPatch) -> float:
     """Farthest that a sheet strayed from the middle [m], once the balls that closed on it are apart again."""
     monkeypatch.setattr("pb4u.simulation.timeline.SoftFolds", folds)

@@ -120,13 +120,17 @@ class StepwiseSimulator(Simulator):
     def timeline(self, *scenes: Scene) -> Timeline:
         """Frames of scenes, each in a world of its own, on the device that takes their steps.
 
+        Folds of the bodies are open where something answers contact with them.
+
         Args:
             scenes: what is simulated.
 
         Raises:
             InputError: the device has no room for them.
         """
-        return Timeline.of_worlds(scenes)
+        cloth = self.potential.self_contact
+        touched = self.contact is not None or (cloth is not None and cloth.feels_bodies)
+        return Timeline.of_worlds(scenes, opens_folds=touched)
 
     def steps(self, timeline: Timeline, method: StepMethod, state: State, frames: int) -> Iterator[State]:
         """States after `state`, one a frame.

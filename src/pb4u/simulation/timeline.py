@@ -106,7 +106,11 @@ class Timeline:
 
     @staticmethod
     def of_worlds(
-        scenes: Sequence[Scene], dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
+        scenes: Sequence[Scene],
+        dtype: torch.dtype = torch.float64,
+        device: torch.device | str = "cpu",
+        *,
+        opens_folds: bool = True,
     ) -> Timeline:
         """Timeline of scenes, each in a world of its own; in a shorter one the last frame stands for those beyond.
 
@@ -114,6 +118,7 @@ class Timeline:
             scenes: garments and bodies, of one frame rate, gravity and ground.
             dtype: data type of positions and static quantities.
             device: device of the arrays.
+            opens_folds: whether deep folds of the bodies are opened, as contact has them; else they are as posed.
 
         Raises:
             InputError: there is no body.
@@ -137,7 +142,7 @@ class Timeline:
 
             return BlockedFrames(block, max(scene.total_frames for scene in scenes))
 
-        body = frames([(world, SoftFolds(body).positions) for world, body in bodies])
+        body = frames([(world, (SoftFolds(body) if opens_folds else body).positions) for world, body in bodies])
         skinned = frames([(world, each.placement.positions) for world, each in worn])
         gravity = torch.as_tensor(scenes[0].gravity, dtype=dtype, device=device)
         return Timeline(garments, colliders, body, skinned, scenes[0].dt, gravity)
