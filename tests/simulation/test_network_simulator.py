@@ -64,6 +64,12 @@ def test_where_a_solver_refines_it_leads_in_alone(
     assert len(asked) == expected
 
 
+def test_a_lead_in_that_is_written_is_the_one_that_is_not(weights: Path) -> None:
+    scene, simulator = ball_scene(frames=2, lead_in=3), load_simulator(weights, refine=2)
+    written = simulator.simulate(replace(scene, frames=5, lead_in=0, kept_lead_in=3))
+    np.testing.assert_array_equal(written.positions[3:], simulator.simulate(scene).positions)
+
+
 def test_k_follows_the_resolution_and_can_be_overridden(weights: Path) -> None:
     checkpoint = load_checkpoint(weights)
     coarse, fine = ball_scene(cells=10), ball_scene(cells=20)

@@ -84,15 +84,15 @@ def build_scene(run: Run) -> Scene:
         InputWarning: as `make_scene` does.
     """
     body, performed = perform(run)
-    collider, frames, lead_in, notes = performed.body, performed.frames, run.lead_in, performed.notes
+    collider, notes, kept = performed.body, performed.notes, run.lead_in if run.keep_lead_in else 0
+    frames, lead_in = kept + performed.frames, run.lead_in - kept
     garments, specified = load_garments(run.garments, body, run.as_recorded)
     places = layered(garments, RestBody.of(body)) if len(garments) > 1 else (None,)
     dressed = [
         DressedGarment(each, _placement(each, collider, worn)) for each, worn in zip(garments, places, strict=True)
     ]
-    if run.keep_lead_in and lead_in:
-        notes = (*notes, f"The first {lead_in} frames lead from the rest pose into the motion.")
-        frames, lead_in = lead_in + frames, 0
+    if kept:
+        notes = (*notes, f"The first {kept} frames lead from the rest pose into the motion.")
     ground_height, more = _ground(run, collider, lead_in + frames)
     notes = (*notes, *more)
     sources = [str(each.garment) if isinstance(each.garment, str | Path) else None for each in specified]
@@ -101,6 +101,7 @@ def build_scene(run: Run) -> Scene:
         colliders=(collider,),
         frames=frames,
         lead_in=lead_in,
+        kept_lead_in=kept,
         fps=run.fps,
         ground_height=ground_height,
         seed=run.seed,

@@ -36,13 +36,14 @@ class Scene:
     """Garments on moving bodies.
 
     Frames run 0..lead_in + frames - 1: the first `lead_in` lead from the garment's rest pose into the motion and are
-    simulated but not written.
+    simulated but not written, unless they are kept: then they are the first of `frames`.
 
     Args:
         garments: the garments worn, inner first.
         colliders: the moving bodies; each covers all frames.
         frames: number of frames to write.
         lead_in: number of frames before the first written one.
+        kept_lead_in: number of written frames that lead into the motion too.
         fps: frames per second [1/s]; one time step lasts 1 / fps.
         gravity: (3,) [m/s^2].
         ground_height: height of the ground plane [m]; None for no ground.
@@ -56,6 +57,7 @@ class Scene:
     colliders: tuple[AnimatedBody, ...]
     frames: int
     lead_in: int = 0
+    kept_lead_in: int = 0
     fps: float = 30.0
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, -STANDARD_GRAVITY, 0.0]))
     ground_height: float | None = 0.0
@@ -80,6 +82,11 @@ class Scene:
     def total_frames(self) -> int:
         """Number of frames simulated, lead-in included."""
         return self.lead_in + self.frames
+
+    @property
+    def led_frames(self) -> int:
+        """Number of frames that lead into the motion, written or not."""
+        return self.lead_in + self.kept_lead_in
 
     @property
     def dt(self) -> float:

@@ -112,7 +112,7 @@ class StepwiseSimulator(Simulator):
             yield state
         if method.network is not None and method.refinement is not None:
             # The solver alone leads to the same drape in half of the time; the network takes over with the first frame.
-            for led in self.steps(timeline, replace(method, network=None), state, scene.lead_in):
+            for led in self.steps(timeline, replace(method, network=None), state, scene.led_frames):
                 state = led
                 yield state
         yield from self.steps(timeline, method, state, scene.total_frames)
