@@ -25,7 +25,7 @@ from pb4u.scene_file import named_file
         ({"frames": 2.5}, "whole number, 1 or more, not 2.5"),
         ({"frames": True}, "whole number, 1 or more, not True"),
         ({"lead_in": -1}, "lead_in must be a whole number, 0 or more, not -1"),
-        ({"lead_in": None}, "lead_in must be a whole number, 0 or more, not None"),
+        ({"lead_in": 2.5}, "lead_in must be a whole number, 0 or more, not 2.5"),
         ({"fps": 0}, "fps must be a number from 1 to 1,000, not 0"),
         ({"fps": float("nan")}, "from 1 to 1,000, not nan"),
         ({"fps": "fast"}, "must be a number from 1 to 1,000, not 'fast'"),
@@ -135,3 +135,10 @@ def test_one_garment_alone_and_a_tuple_of_several_are_taken() -> None:
     given = {"garment": ("tshirt", "skirt"), "triangles": (900, None)}
     worn = Run().with_entries(given).garments
     assert [(each.name, each.triangles) for each in worn] == [("tshirt", 900), ("skirt", None)]
+
+
+def test_the_lead_in_is_a_second_at_any_rate_where_it_is_left_open() -> None:
+    fast = Run(fps=120)
+    assert (Run().led_frames, fast.led_frames, fast.at_rate(30).led_frames) == (30, 120, 30)
+    assert replace(fast, frames=10, keep_lead_in=True).written_frames == 130
+    assert (Run(fps=60, lead_in=8).led_frames, Run(fps=60, lead_in=8).at_rate(30).led_frames) == (8, 4)

@@ -114,7 +114,7 @@ class Run:
             keeps the arms of a recording out of the body; 0 leaves them as recorded.
         raw_motion: Leave motion from a video as it is, neither smoothed nor its feet held.
         recorded_fps: Frames per second of a recording. Default: what its file says, or 30.
-        lead_in: Frames from the rest pose into the motion, simulated but not written.
+        lead_in: Frames from the rest pose into the motion, simulated but not written. Default: one second.
         keep_lead_in: Write the lead-in frames as well, before those that --frames counts.
         frames: Frames to write. Default: the whole recording, or 60 of a built-in motion.
         fps: Frames per second; a network runs at its own, and the result is resampled.
@@ -156,7 +156,7 @@ class Run:
     arms_away: Annotated[float | None, Flag(BODY, "DEGREES", least=0, most=90)] = None
     raw_motion: Annotated[bool, Flag(BODY, names=("--raw-motion/--steady-motion",))] = False
     recorded_fps: Annotated[float | None, Flag(BODY, "N", least=1, most=1000)] = None
-    lead_in: Annotated[int, Flag(BODY, "N", least=0)] = 30
+    lead_in: Annotated[int | None, Flag(BODY, "N", least=0)] = None
     keep_lead_in: Annotated[bool, Flag(BODY, names=("--keep-lead-in/--drop-lead-in",))] = False
     frames: Annotated[int | None, Flag(SCENE, "N", least=1)] = None
     fps: Annotated[float, Flag(SCENE, "N", least=1, most=1000)] = 30.0
@@ -197,9 +197,14 @@ class Run:
                 )
 
     @property
+    def led_frames(self) -> int:
+        """Number of frames from the rest pose into the motion, at its own rate."""
+        return round(self.fps) if self.lead_in is None else self.lead_in
+
+    @property
     def written_frames(self) -> int | None:
         """Number of frames that are written, a kept lead-in included; None where the motion decides."""
-        return self.frames if self.frames is None or not self.keep_lead_in else self.frames + self.lead_in
+        return self.frames if self.frames is None or not self.keep_lead_in else self.frames + self.led_frames
 
     @property
     def files(self) -> tuple[object, ...]:
@@ -226,7 +231,8 @@ class Run:
         if math.isclose(fps, self.fps):
             return replace(self, fps=fps)
         frames = None if self.frames is None else math.ceil((self.frames - 1) * fps / self.fps) + 1
-        return replace(self, fps=fps, frames=frames, lead_in=round(self.lead_in * fps / self.fps))
+        lead_in = None if self.lead_in is None else round(self.lead_in * fps / self.fps)
+        return replace(self, fps=fps, frames=frames, lead_in=lead_in)
 
     def with_entries(self, given: Mapping[str, Any], folder: Path | None = None) -> Run:
         """Run with other values, named as in a scene file but without its sections; they win as flags do.

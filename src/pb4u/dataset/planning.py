@@ -105,7 +105,7 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
             moves = None if scene.motion is None else str(scene.motion)
             how = (scene.fps, scene.recorded_fps, scene.as_recorded)
             frames = own_frames or recorded(moves, scene.crop, *how) or DEFAULT_FRAMES
-        frames += scene.lead_in if scene.keep_lead_in else 0
+        frames += scene.led_frames if scene.keep_lead_in else 0
         faces = [each.triangles or triangles(each) for each in scene.garments]
         # A sheet has half as many vertices as triangles, and half as many more as its borders have edges.
         vertices = sum(count / 2 + 1.2 * count**0.5 for count in faces)

@@ -74,7 +74,7 @@ class RunJob:
         identity = {
             "version": FOLDER_VERSION,
             "pb4u": __version__,
-            "run": _plain(self.run, files),
+            "run": _plain(replace(self.run, lead_in=self.run.led_frames), files),
             "weights": self.weights,
             "keep": self.keep,
             "excess": self.excess,
@@ -104,6 +104,7 @@ class RunJob:
             "motion": named(run.motion) or run.clip or "own",
             "frames_asked": run.frames,
             "crop": None if run.crop is None else list(run.crop),
+            "lead_in": run.led_frames,
             "model": named(run.model),
             "half": self.keep == "half",
             **{name: getattr(run, name) for name in _AS_THEY_ARE},
@@ -119,7 +120,7 @@ class RunJob:
 
 
 _AS_THEY_ARE = (
-    "seed", "fps", "lead_in", "arms_away", "refine", "contact", "self_contact", "first_frame", "device",
+    "seed", "fps", "arms_away", "refine", "contact", "self_contact", "first_frame", "device",
 )  # fmt: skip
 
 
@@ -296,7 +297,7 @@ def _against_reference(run: Run, simulator: Simulator, trajectory: Trajectory) -
     from pb4u.simulation.stepwise_simulator import StepwiseSimulator
 
     reference = _reference(run)
-    pairs = zip(trajectory.positions, reference.states[run.lead_in :], strict=False)
+    pairs = zip(trajectory.positions, reference.states[run.led_frames :], strict=False)
     away = [float(np.linalg.norm(x - y.positions.numpy(), axis=1).mean()) for x, y in pairs]
     found: dict[str, Any] = {"distance_to_reference": series(away)}
     if isinstance(simulator, StepwiseSimulator):

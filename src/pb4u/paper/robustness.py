@@ -155,7 +155,7 @@ def _scene_words(row: Row) -> str:
     shape = "".join(f" --body-shape {name}={value:g}" for name, value in run.body_shape.items())
     return (
         f"--garment {worn.garment} --triangles {worn.triangles} --material {worn.material} --body {run.body}{shape} "
-        f"--motion {run.motion}{seeded} --frames {run.frames} --lead-in {run.lead_in}"
+        f"--motion {run.motion}{seeded} --frames {run.frames} --lead-in {run.led_frames}"
     )
 
 

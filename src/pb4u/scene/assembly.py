@@ -84,8 +84,8 @@ def build_scene(run: Run) -> Scene:
         InputWarning: as `make_scene` does.
     """
     body, performed = perform(run)
-    collider, notes, kept = performed.body, performed.notes, run.lead_in if run.keep_lead_in else 0
-    frames, lead_in = kept + performed.frames, run.lead_in - kept
+    collider, notes, kept = performed.body, performed.notes, run.led_frames if run.keep_lead_in else 0
+    frames, lead_in = kept + performed.frames, run.led_frames - kept
     garments, specified = load_garments(run.garments, body, run.as_recorded)
     places = layered(garments, RestBody.of(body)) if len(garments) > 1 else (None,)
     dressed = [

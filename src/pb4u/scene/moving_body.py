@@ -134,9 +134,9 @@ def _perform(body: ShapedBody, run: Run) -> Performance:
     notes = (*clip.notes, *more)
     for note in notes:
         warn(note)
-    led = prepend_lead_in(poses, body, run.lead_in)
+    led = prepend_lead_in(poses, body, run.led_frames)
     if (arms := clip.arm_clearance(body)) is not None:
-        led = arms_held_off(led, arms, run.lead_in)
+        led = arms_held_off(led, arms, run.led_frames)
     return Performance(body.posed(led), frames, name, notes)
 
 
@@ -147,13 +147,13 @@ def _perform_clip(body: Character, run: Run) -> Performance:
     if run.clip is None and len(body.clip_names) > 1:
         warn(f"{body.name} performs {name}, the first of its clips {', '.join(body.clip_names[:10])}; --clip chooses.")
     available = run.frames or DEFAULT_FRAMES if body.clip is None else body.available_frames(run.fps)
-    poses = character_lead_in(body, body.clip_poses(run.fps, available), run.fps, run.lead_in)
+    poses = character_lead_in(body, body.clip_poses(run.fps, available), run.fps, run.led_frames)
     return Performance(PosedCharacter(body, poses, run.fps), _frames(run, name, available), name, body.notes)
 
 
 def _replay(body: ShapedBody, recording: RecordingAsItIs, run: Run) -> Performance:
     """A body with bones plays its recording, nothing changed."""
-    poses = recording.led_in(body, run.fps, run.lead_in)
+    poses = recording.led_in(body, run.fps, run.led_frames)
     frames = _frames(run, recording.name, recording.available_frames(run.fps))
     return Performance(body.posed(poses), frames, str(run.motion))
 
@@ -186,8 +186,8 @@ def _play(body: VertexSequence, run: Run) -> Performance:
         body = body.smoothed(CUTOFF)
     # A body that never moves has no end: it stands for as long as wanted.
     standing = (run.frames or DEFAULT_FRAMES) - 1 if body.frame_count == 1 else 0
-    held = body.resampled(run.fps).with_held_start(run.lead_in + standing)
-    return Performance(held, _frames(run, body.name, held.frame_count - run.lead_in), body.name)
+    held = body.resampled(run.fps).with_held_start(run.led_frames + standing)
+    return Performance(held, _frames(run, body.name, held.frame_count - run.led_frames), body.name)
 
 
 def _refuse_changes(run: Run, why: str, mend: str) -> None:

@@ -46,7 +46,7 @@ def require_offered(run: Run, files: Collection[Path] = ()) -> None:
     ]
     counts: list[tuple[str, int | None, int, int]] = [
         ("frames", run.frames, 1, MOST_FRAMES),
-        ("lead-in frames", run.lead_in, 0, MOST_FRAMES),
+        ("lead-in frames", run.led_frames, 0, MOST_FRAMES),
         ("refining iterations", run.refine, 0, MOST_REFINING),
     ]
     for worn in run.garments:

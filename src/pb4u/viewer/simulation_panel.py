@@ -89,7 +89,7 @@ class SimulationPanel(Panel):
                 button.on_upload(self._answer(partial(self._take, kind, button)))
         self._frames = gui.add_number("Frames", DEFAULT_FRAMES, min=1, max=MOST_FRAMES, step=1)
         self._lead_in = gui.add_number(
-            "Lead-in", usual.lead_in, min=0, max=MOST_FRAMES, step=1,
+            "Lead-in", usual.led_frames, min=0, max=MOST_FRAMES, step=1,
             hint=described(Run)["lead_in"].help,
         )  # fmt: skip
         self._model = gui.add_dropdown(
