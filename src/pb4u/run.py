@@ -230,9 +230,13 @@ class Run:
         """
         if math.isclose(fps, self.fps):
             return replace(self, fps=fps)
-        frames = None if self.frames is None else math.ceil((self.frames - 1) * fps / self.fps) + 1
         lead_in = None if self.lead_in is None else round(self.lead_in * fps / self.fps)
-        return replace(self, fps=fps, frames=frames, lead_in=lead_in)
+        run = replace(self, fps=fps, lead_in=lead_in)
+        if self.written_frames is None:
+            return run
+        # All that is written, a kept lead-in included, is rounded up once.
+        written = math.ceil((self.written_frames - 1) * fps / self.fps) + 1
+        return replace(run, frames=written - (run.led_frames if self.keep_lead_in else 0))
 
     def with_entries(self, given: Mapping[str, Any], folder: Path | None = None) -> Run:
         """Run with other values, named as in a scene file but without its sections; they win as flags do.

@@ -108,6 +108,8 @@ def test_a_kept_lead_in_is_written_and_still_leads(woman: ShapedBody) -> None:
     kept = make_scene("skirt", woman, triangles=500, frames=2, lead_in=3, keep_lead_in=True)
     assert (kept.frames, kept.lead_in, kept.kept_lead_in, kept.led_frames, kept.total_frames) == (5, 0, 3, 3, 5)
     assert kept.notes[-1] == "The first 3 frames lead from the rest pose into the motion."
+    faster = build_scene(Run((WornGarment("skirt", triangles=500),), frames=2, lead_in=3, keep_lead_in=True), 60.0)
+    assert faster.notes[-1] == "The first 6 frames lead from the rest pose into the motion."
 
 
 def test_several_garments_are_worn_inner_first(woman: ShapedBody, tmp_path: Path) -> None:

@@ -141,6 +141,21 @@ def test_the_frames_of_a_run_are_known_before_it() -> None:
         assert roll_out(run, SkinningSimulator(), scene).frame_count == frame_count(run, scene)
 
 
+@pytest.mark.parametrize(("lead_in", "fps"), [(1, 60), (3, 60), (7, 24), (30, 25), (31, 60), (None, 50)])
+@pytest.mark.parametrize("kept", [False, True])
+def test_a_kept_lead_in_is_counted_and_told_at_the_rate_that_is_written(
+    lead_in: int | None, fps: float, kept: bool
+) -> None:
+    run = Run(fps=fps, keep_lead_in=kept, frames=5, lead_in=lead_in)
+    simulated = run.at_rate(30.0)
+    led = simulated.led_frames
+    scene = ball_scene(simulated.frames + (led if kept else 0), 0 if kept else led, cells=2)
+    assert frame_count(run, scene) == run.written_frames
+    trajectory = roll_out(run, SkinningSimulator(), scene)
+    assert trajectory.frame_count == run.written_frames == 5 + kept * run.led_frames
+    assert trajectory.metadata["lead_in"] == (0 if kept else pytest.approx(run.led_frames, abs=1))
+
+
 def test_what_was_simulated_is_kept_when_the_state_fails(tmp_path: Path) -> None:
     record = RunRecord()
     trajectory = FreeFall(fails_at=7).simulate_to(ball_scene(frames=8, lead_in=2), tmp_path / "a.npz", record)

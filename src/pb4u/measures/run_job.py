@@ -249,7 +249,7 @@ def _scene_of(job: RunJob, simulator: Simulator) -> tuple[Scene, tuple[str, ...]
 
     with _noted() as caught:
         fps = simulated_fps(job.run, simulator)
-    scene, warned = _scene(job.run.at_rate(fps).scene)
+    scene, warned = _scene(job.run.at_rate(fps).scene, job.run.fps)
     return scene, (*warned, *(str(each.message) for each in caught))
 
 
@@ -264,12 +264,12 @@ def _noted() -> Iterator[list[warnings.WarningMessage]]:
 
 # Jobs of an evaluation come sorted by scene: the garment is cut and meshed once for all the models.
 @lru_cache(maxsize=1)
-def _scene(run: Run) -> tuple[Scene, tuple[str, ...]]:
-    """The scene of a run, and what is warned of."""
+def _scene(run: Run, written_fps: float) -> tuple[Scene, tuple[str, ...]]:
+    """The scene of a run that is written at another rate [1/s], and what is warned of."""
     from pb4u.scene.assembly import build_scene
 
     with _noted() as caught:
-        scene = build_scene(run)
+        scene = build_scene(run, written_fps)
     return scene, tuple(str(each.message) for each in caught)
 
 
@@ -282,7 +282,7 @@ def _reference(run: Run) -> Reference:
     from pb4u.simulation.stepwise_simulator import SolverSimulator
     from pb4u.simulation.timeline import Timeline
 
-    scene, _ = _scene(run)
+    scene, _ = _scene(run, run.fps)
     timeline = Timeline.of(scene)
     first = next(iter(Settled().states(timeline, SolverSimulator().method(timeline, RunRecord()))))
     return Reference.of(timeline, first, scene.total_frames, scene.lead_in)

@@ -71,11 +71,12 @@ def make_scene(
     return build_scene(replace(run, garments=tuple(kept)))
 
 
-def build_scene(run: Run) -> Scene:
+def build_scene(run: Run, written_fps: float | None = None) -> Scene:
     """Scene of a run, everything in it loaded.
 
     Args:
         run: names, paths or loaded objects that the scene is made of; its options are not looked at.
+        written_fps: frames per second [1/s] that the result is written at; the run's by default.
 
     Raises:
         InputError: anything cannot be used, or what is given with a loaded object conflicts with it.
@@ -92,7 +93,8 @@ def build_scene(run: Run) -> Scene:
         DressedGarment(each, _placement(each, collider, worn)) for each, worn in zip(garments, places, strict=True)
     ]
     if kept:
-        notes = (*notes, f"The first {kept} frames lead from the rest pose into the motion.")
+        written = round(kept * (written_fps or run.fps) / run.fps)
+        notes = (*notes, f"The first {written} frames lead from the rest pose into the motion.")
     ground_height, more = _ground(run, collider, lead_in + frames)
     notes = (*notes, *more)
     sources = [str(each.garment) if isinstance(each.garment, str | Path) else None for each in specified]

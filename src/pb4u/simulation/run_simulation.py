@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from pb4u.errors import Interrupted, warn
@@ -50,7 +51,7 @@ def scene_for(run: Run, simulator: Simulator) -> Scene:
     Warns:
         InputWarning: that rate is another than the scene's, or the scene has something unusual.
     """
-    return build_scene(run.at_rate(simulated_fps(run, simulator)))
+    return build_scene(run.at_rate(simulated_fps(run, simulator)), run.fps)
 
 
 def simulated_fps(run: Run, simulator: Simulator) -> float:
@@ -116,6 +117,9 @@ def roll_out(
     if path is not None and not is_resampled:
         return simulator.simulate_to(scene, path, record, progress, seen)
     header, rows = simulator.header(scene), list[Frame]()
+    if is_resampled:
+        led = round(scene.lead_in * run.fps / scene.fps)
+        header = replace(header, metadata={**header.metadata, "lead_in": led})
     try:
         for frame in simulator.written_frames(scene, record, progress, simulated):
             rows.append(frame)
