@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import pb4u
+from pb4u.run import Run, WornGarment
 
 CLOTH = pb4u.Material.named("cotton")
 
@@ -136,3 +137,19 @@ def test_an_interrupt_in_python_keeps_the_frames(skirt: pb4u.Garment, tmp_path: 
     with pytest.raises(KeyboardInterrupt, match="first 3 frames are in"):
         pb4u.load_simulator("skinning").simulate_to(scene, str(file) if as_text else file, progress=interrupt)
     assert pb4u.Trajectory.open(tmp_path / "a.interrupted.npz").frame_count == 3
+
+
+@pytest.mark.parametrize("as_text", [True, False])
+def test_an_interrupt_of_a_run_that_is_resampled_keeps_the_frames(tmp_path: Path, as_text: bool) -> None:
+    run = Run(WornGarment("skirt", triangles=500), frames=8, lead_in=0, fps=60.0, model="pb4u-light", refine=1)
+
+    def interrupt(done: int, _: int) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    file = tmp_path / "a.npz"
+    with pytest.raises(KeyboardInterrupt, match="first 2 frames are in"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", pb4u.InputWarning)
+        run.simulate(str(file) if as_text else file, interrupt)
+    kept = pb4u.Trajectory.open(tmp_path / "a.interrupted.npz")
+    assert (kept.frame_count, kept.fps) == (2, 30.0)

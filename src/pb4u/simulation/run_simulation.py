@@ -15,7 +15,7 @@ from pb4u.scene.assembly import build_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Frame, Trajectory
-from pb4u.scene.trajectory_file import kept_sentence
+from pb4u.scene.trajectory_file import interrupted_path, kept_sentence
 from pb4u.simulation.models import simulator_of
 from pb4u.simulation.simulator import RunRecord, Simulator
 
@@ -31,11 +31,13 @@ def simulate(run: Run, path: str | Path | None = None, progress: Progress | None
 
     Raises:
         InputError: something of the run cannot be used.
+        Interrupted: the frames until an interrupt are in a file beside `path`, which it names.
     """
     simulator = simulator_of(run)
     scene = scene_for(run, simulator)
     with progress_or_bar(progress, simulator.name) as heard:
-        return roll_out(run, simulator, scene, path, progress=heard)
+        interrupted = None if path is None else interrupted_path(Path(path))
+        return roll_out(run, simulator, scene, path, progress=heard, interrupted=interrupted)
 
 
 def scene_for(run: Run, simulator: Simulator) -> Scene:
