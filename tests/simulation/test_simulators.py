@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +11,8 @@ import pytest
 import torch
 from ball_scene import Ball, ball_scene, sheet
 
-from pb4u.collision.crossings import crossings
-from pb4u.errors import InputError, Pb4uError
+from pb4u.collision.crossings import crossings, self_crossings
+from pb4u.errors import InputError, InputWarning, Pb4uError
 from pb4u.garment.dressing import AttachedPlacement
 from pb4u.measures.metrics import measure
 from pb4u.physics.incremental_potential import IncrementalPotential
@@ -154,6 +155,39 @@ def test_a_kept_lead_in_is_counted_and_told_at_the_rate_that_is_written(
     trajectory = roll_out(run, SkinningSimulator(), scene)
     assert trajectory.frame_count == run.written_frames == 5 + kept * run.led_frames
     assert trajectory.metadata["lead_in"] == (0 if kept else pytest.approx(run.led_frames, abs=1))
+
+
+@pytest.mark.parametrize(("self_contact", "pinned"), [(True, False), (True, True), (False, False)])
+def test_frames_between_those_that_are_simulated_are_untangled_where_cloth_feels_cloth(
+    self_contact: bool, pinned: bool
+) -> None:
+    """A strip passes the border of a sheet: above it, then beneath it, and half-way straight through."""
+    sheets = [sheet(), sheet(4, side=0.1, height=0.0)]
+    x = sheets[1].vertices[:, 0]
+    sheets[1] = replace(
+        sheets[1], vertices=sheets[1].vertices + np.array([0.25, 0.732, 0.013]) + np.outer(x, [0, 0.2, 0])
+    )
+    worn = [each.with_pins(np.full(len(each.vertices), pinned)) for each in sheets]
+    scene = ball_scene(frames=2, lead_in=0)
+    dressed = tuple(DressedGarment(each, AttachedPlacement(each, scene.colliders[0])) for each in worn)
+    scene = replace(scene, garments=dressed)
+    above = torch.from_numpy(np.concatenate([each.vertices for each in worn]))
+    beneath = above - 0.05 * (torch.arange(len(above)) >= len(worn[0].vertices))[:, None] * torch.tensor(
+        [0.0, 1.0, 0.0]
+    )
+    states = [State(at, torch.zeros_like(at), frame) for frame, at in enumerate((above, beneath))]
+    simulator = load_simulator("quick-solver", self_contact=self_contact)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", InputWarning)
+        made = roll_out(Run(fps=60.0, frames=3), simulator, scene, simulated=states)
+    counts = [len(self_crossings(at, made.faces, sharing=True)) for at in np.asarray(made.positions)]
+    assert (counts[0], counts[2]) == (0, 0)
+    assert (counts[1] > 0) == (pinned or not self_contact)
+    said = [str(each.message) for each in told]
+    assert bool(said) == pinned
+    assert all(f"in 1 of 3 frames, in {counts[1]} pairs" in each for each in said)
+    for number in (0, 2):
+        np.testing.assert_array_equal(made.positions[number], states[number // 2].positions.numpy().astype(np.float32))
 
 
 def test_what_was_simulated_is_kept_when_the_state_fails(tmp_path: Path) -> None:

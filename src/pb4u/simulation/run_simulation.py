@@ -7,8 +7,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from pb4u.errors import Interrupted, warn
+import numpy as np
+
+from pb4u.collision.crossings import self_crossings
+from pb4u.errors import InputError, Interrupted, warn
 from pb4u.export.selection import resampled, resampled_count
+from pb4u.garment.tangles import untangled_start
 from pb4u.progress import Progress, no_progress, progress_or_bar
 from pb4u.run import Run
 from pb4u.scene.assembly import build_scene
@@ -113,6 +117,9 @@ def roll_out(
     Raises:
         Pb4uError: the state stopped being finite before the first frame to write.
         Interrupted: the frames until an interrupt are in a file, which it names.
+
+    Warns:
+        InputWarning: cloth crosses cloth in frames between those that were simulated.
     """
     record = record or RunRecord()
     is_resampled = not math.isclose(scene.fps, run.fps)
@@ -137,8 +144,31 @@ def roll_out(
     trajectory = Trajectory.collect(header, rows)
     if is_resampled:
         trajectory = resampled(trajectory, run.fps, run.written_frames)
+        if header.metadata.get("self_contact"):
+            trajectory = _untangled(trajectory, scene)
         if record.failed_at is not None:
             record.failed_at = trajectory.frame_count
     if path is not None:
         trajectory.save(path)
     return trajectory
+
+
+def _untangled(trajectory: Trajectory, scene: Scene) -> Trajectory:
+    """A resampled trajectory whose frames cross nowhere: straight lines between two that do not may lead through cloth.
+
+    Frames without crossings stay as they are; a warning counts those that cannot be untangled, which stay too.
+    """
+    garments = [worn.garment for worn in scene.garments]
+    positions, left = np.array(trajectory.positions), list[int]()
+    for frame in positions:
+        if pairs := len(self_crossings(frame, trajectory.faces, sharing=True)):
+            try:
+                frame[:] = untangled_start(garments, frame)
+            except InputError:
+                left.append(pairs)
+    if left:
+        warn(
+            f"Between simulated frames cloth crosses cloth in {len(left)} of {len(positions)} frames, in {sum(left)} "
+            f"pairs of triangles, and cannot be untangled; --fps {scene.fps:g} writes the frames that were simulated."
+        )
+    return replace(trajectory, positions=positions)
