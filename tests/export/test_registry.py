@@ -73,6 +73,21 @@ def test_the_files_told_are_those_written(trajectory: Trajectory, tmp_path: Path
     assert sorted(told) == sorted(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("suffix", [".npz", ".obj", ".pc2", ".glb", ".usda"])
+def test_a_name_that_begins_with_a_dot_is_written(trajectory: Trajectory, tmp_path: Path, suffix: str) -> None:
+    skip_without_usd(suffix)
+    told = written_files(export(trajectory, tmp_path / f".walk{suffix}"), trajectory.frame_count)
+    assert sorted(told) == sorted(tmp_path.iterdir())
+
+
+def test_a_writer_that_wrote_nothing_is_told(
+    trajectory: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pb4u.export.gltf.write_glb", lambda *_: None)
+    with pytest.raises(InputError, match="nothing was written"):
+        export(trajectory, tmp_path / "walk.glb")
+
+
 def test_suffixes_may_be_in_capitals(trajectory: Trajectory, tmp_path: Path) -> None:
     export(trajectory, tmp_path / "WALK.PC2")
     assert (tmp_path / "WALK.PC2").stat().st_size > 32

@@ -10,7 +10,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from pb4u.errors import InputError, on_disk
-from pb4u.io.atomic_file import check_writable, move_into_place, working_folder
+from pb4u.io.atomic_file import LOCK, MARK, check_writable, move_into_place, working_folder
 from pb4u.progress import Progress, no_progress
 
 if TYPE_CHECKING:
@@ -277,7 +277,10 @@ def export(
     with on_disk(f"Cannot write {path}"):
         with working_folder(path) as folder:
             told = writer(shown, folder / path.name, progress or no_progress, **seen)
-            for written in sorted(p for p in folder.iterdir() if not p.name.startswith(".")):
+            complete = sorted(p for p in folder.iterdir() if p.name != LOCK and p.suffix != MARK)
+            if not complete:
+                raise InputError(f"Cannot write {path}: nothing was written.")
+            for written in complete:
                 move_into_place(written, path.with_name(written.name))
         for stale in _function(form.stale)(path, shown.frame_count) if form.stale else ():
             stale.unlink()
