@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pb4u.body.skeleton import joint_positions
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import rotate
 from pb4u.motion.bvh import read_bvh
@@ -41,6 +42,38 @@ def test_mixamo_elbow_folds_forward(bvh, woman):
     elbow, wrist = skeleton.index("lowerarm01.L"), skeleton.index("wrist.L")
     along = rotate(poses.rotations[0, elbow], skeleton.joints[wrist] - skeleton.joints[elbow])
     np.testing.assert_allclose(along / np.linalg.norm(along), [0.0, 0.0, 1.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_hips_below_a_root_of_their_own_keep_their_travel(bvh, turned):
+    path = bvh()
+    plain = read_bvh(path)
+    head, motion, tail = path.read_text().partition("MOTION")
+    channels = "CHANNELS 1 Yrotation" if turned else "CHANNELS 0"
+    above = head.replace("HIERARCHY", f"HIERARCHY\nROOT Reference\n{{\nOFFSET 5 0 0\n{channels}").replace(
+        "ROOT mixamorig", "JOINT mixamorig"
+    )
+    if turned:
+        first, second, *frames = tail.strip().splitlines()
+        tail = "\n".join(["", first, second, *(f"90 {frame}" for frame in frames)])
+    path.write_text(f"{above}}}\n{motion}{tail}")
+    below = read_bvh(path)
+    hips = joint_positions(below.skeleton, below.poses)[:, below.skeleton.index("Hips")]
+    x, y, z = plain.poses.root_positions.T
+    np.testing.assert_allclose(hips, np.column_stack([5.0 + z, y, -x] if turned else [5.0 + x, y, z]), atol=1e-9)
+    assert below.notes == ()
+
+
+def test_joints_that_leave_their_places_are_told(bvh):
+    path = bvh()
+    head, motion, tail = path.read_text().partition("MOTION")
+    spine = head.index("CHANNELS 3")
+    head = head[:spine] + head[spine:].replace("CHANNELS 3", "CHANNELS 4 Xposition", 1)
+    first, second, *frames = tail.strip().splitlines()
+    rows = [row.split() for row in frames]
+    moved = [" ".join([*row[:6], str(3.0 * t), *row[6:]]) for t, row in enumerate(rows)]
+    path.write_text("\n".join([head + motion, first, second, *moved]))
+    assert read_bvh(path).notes == ("clip: bones keep their lengths; the positions of Spine are not followed.",)
 
 
 def test_name_prefix_is_ignored(bvh):

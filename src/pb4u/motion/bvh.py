@@ -9,7 +9,7 @@ import numpy as np
 
 from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.errors import InputError
-from pb4u.geometry.rotation import from_euler
+from pb4u.geometry.rotation import from_euler, rotate
 from pb4u.io.reading_limits import refusing
 from pb4u.io.stored_numbers import unrounded_rate
 from pb4u.motion.correspondences import BVH_SOURCES, SkeletonRoles
@@ -17,6 +17,8 @@ from pb4u.motion.recording import Recording, finite_frames, require_rate
 
 _HEADING = 200
 """Characters of the MOTION section that hold its number of frames and its frame time."""
+_STRETCH = 0.01
+"""Share of the length of a leg by which joints may move against their parents without a word."""
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 
 
@@ -58,14 +60,40 @@ def read_bvh(path: Path) -> Recording:
         order = "".join(joint.channels[c - joint.first_channel][0] for c in reversed(turning))
         local[:, i] = from_euler(values[:, turning[::-1]], order) if turning else [1.0, 0.0, 0.0, 0.0]
         rest[i] = (rest[joint.parent] if joint.parent >= 0 else 0.0) + joint.offset
-    root_positions = np.tile(rest[0], (len(values), 1))
-    for k, channel in enumerate(joints[0].channels):
-        if channel.endswith("position"):
-            root_positions[:, "XYZ".index(channel[0])] = values[:, k]
     parents = np.array([joint.parent for joint in joints], dtype=np.int64)
     skeleton = Skeleton(tuple(_plain(joint.name) for joint in joints), parents, rest)
-    poses = PoseSequence(world_rotations(local, parents), root_positions, fps)
-    return Recording(path.stem, source, skeleton, poses).facing_forward().with_vertical_legs()
+    rotations = world_rotations(local, parents)
+    root_positions = _places(joints[0], values)
+    # The pelvis need not be the root: what moves it against those above it moves the whole body.
+    carrying = _chain(joints, skeleton.index(str(source.roles["pelvis"])))
+    for i in carrying - {0}:
+        root_positions += rotate(rotations[:, joints[i].parent], _places(joints[i], values) - joints[i].offset)
+    recording = Recording(path.stem, source, skeleton, PoseSequence(rotations, root_positions, fps))
+    least = _STRETCH * recording.leg_length
+    moved = [i for i in range(len(joints)) if np.ptp(_places(joints[i], values), axis=0).max() > least]
+    ignored = [skeleton.names[i] for i in moved if i not in carrying]
+    if ignored:
+        note = f"{path.stem}: bones keep their lengths; the positions of {', '.join(ignored[:6])} are not followed."
+        recording = replace(recording, notes=(note,))
+    return recording.facing_forward().with_vertical_legs()
+
+
+def _places(joint: _Joint, values: np.ndarray) -> np.ndarray:
+    """Places (frames, 3) of a joint in the axes of its parent: its offset, where no position channel says otherwise."""
+    places = np.tile(joint.offset, (len(values), 1))
+    for k, channel in enumerate(joint.channels, joint.first_channel):
+        if channel.endswith("position"):
+            places[:, "XYZ".index(channel[0])] = values[:, k]
+    return places
+
+
+def _chain(joints: list[_Joint], joint: int) -> set[int]:
+    """A joint and all above it."""
+    chain = set()
+    while joint >= 0:
+        chain.add(joint)
+        joint = joints[joint].parent
+    return chain
 
 
 def _plain(name: str) -> str:
