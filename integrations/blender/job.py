@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,7 +87,7 @@ def prepare(context: bpy.types.Context) -> PreparedRun:
     objects = baking.garment_objects(scene)
     bodies = baking.body_objects(scene, objects)
     run = run_values(settings)
-    parent, notes = _cache_folder(settings.folder)
+    parent, notes = cache_folder(settings.folder)
     notes += [
         f"{each.name}: what comes after the cloth is seen and not simulated: {', '.join(after)}."
         for each in objects
@@ -96,6 +97,7 @@ def prepare(context: bpy.types.Context) -> PreparedRun:
     body, matrices = baking.bake_motion(context, bodies, objects, frames)
     try:
         folder = scene_folder.new_run_folder(parent)
+        _sign(folder)
         files = scene_folder.write_garments(folder, garments)
         scene_folder.write_body(folder, body, baking.frame_rate(scene))
         entries = {entry.object: entry for entry in settings.garments if entry.object is not None}
@@ -124,11 +126,38 @@ def prepare(context: bpy.types.Context) -> PreparedRun:
     return PreparedRun(folder, scene.name, frames, baking.metres_per_unit(scene), results, notes)
 
 
-def _cache_folder(chosen: str) -> tuple[Path, list[str]]:
+def cache_folder(chosen: str) -> tuple[Path, list[str]]:
+    """The folder that runs are in, and what the artist should know of it.
+
+    Args:
+        chosen: in the panel.
+    """
     if chosen.startswith("//") and not bpy.data.filepath:
         folder = Path(bpy.app.tempdir) / "pb4u"
         return folder, [f"The file is not saved yet, so its frames go to {folder}, which Blender deletes when it ends."]
     return Path(bpy.path.abspath(chosen)), []
+
+
+def is_own(run: Path) -> bool:
+    """Whether the file that is open made a run.
+
+    Args:
+        run: folder of the run.
+    """
+    named = run / scene_folder.MADE_BY
+    return named.is_file() and (run / named.read_text(encoding="utf-8")).resolve() == _maker()
+
+
+def _sign(run: Path) -> None:
+    maker = str(_maker())
+    with contextlib.suppress(ValueError):  # on Windows, another drive
+        maker = os.path.relpath(maker, run.resolve())
+    (run / scene_folder.MADE_BY).write_text(maker, encoding="utf-8")
+
+
+def _maker() -> Path:
+    """The .blend; of a file that is not saved, the folder that this Blender alone has."""
+    return Path(bpy.data.filepath or bpy.app.tempdir).resolve()
 
 
 class SimulationJob:

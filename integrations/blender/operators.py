@@ -11,7 +11,7 @@ import bpy
 
 from . import baking, scene_folder
 from .environment import PlainError, ask, installation, last_sentence, names, plain_environment, python_for_environment
-from .job import prepare, running_job, start
+from .job import cache_folder, is_own, prepare, running_job, start
 from .preferences import command, environment_folder, preferences
 
 MARKS = "pb4u findings"
@@ -285,7 +285,7 @@ class PB4U_OT_remove_result(SentenceOperator):
 
 
 class PB4U_OT_delete_unused(SentenceOperator):
-    """Delete the runs in the cache folder that no object of this file plays"""
+    """Delete the runs of this file in the cache folder that none of its objects plays"""
 
     bl_idname = "pb4u.delete_unused"
     bl_label = "Delete Unused Runs"
@@ -303,10 +303,8 @@ class PB4U_OT_delete_unused(SentenceOperator):
             for modifier in each.modifiers
             if modifier.type == "MESH_CACHE"
         }
-        folder = Path(bpy.path.abspath(context.scene.pb4u.folder))
-        unused = [
-            run for run in folder.glob("run_*") if (run / scene_folder.SCENE).is_file() and run.resolve() not in used
-        ]
+        folder, _ = cache_folder(context.scene.pb4u.folder)
+        unused = [run for run in folder.glob("run_*") if is_own(run) and run.resolve() not in used]
         for run in unused:
             shutil.rmtree(run, ignore_errors=True)
         self.report({"INFO"}, f"{len(unused)} runs deleted.")

@@ -18,6 +18,8 @@ BODY = "body.npz"
 LIVE = "live"
 RESULT = "result.npz"
 LOG = "pb4u.log"
+MADE_BY = "made_by.txt"
+"""Name of the .blend that made the run, as seen from the folder of the run."""
 
 
 @dataclass(frozen=True)

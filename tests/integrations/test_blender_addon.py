@@ -307,6 +307,41 @@ except RuntimeError as error:
     assert sorted(each.name for each in (tmp_path / "pb4u_cache").iterdir()) == ["run_0001"]
 
 
+def test_unused_runs_of_other_files_are_kept(run: Callable) -> None:
+    seen = run("""
+def simulate():
+    settings = bpy.context.scene.pb4u
+    settings.model, settings.self_contact = "skinning", False
+    bpy.context.scene.frame_end = 1
+    bpy.ops.pb4u.simulate()
+
+def left(folder):
+    bpy.ops.pb4u.delete_unused()
+    return sorted(each.name for each in folder.iterdir())
+
+simulate()
+bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "other.blend"))
+bpy.ops.pb4u.remove_result()
+simulate()
+simulate()
+seen["other"] = left(FOLDER / "pb4u_cache")
+bpy.ops.wm.open_mainfile(filepath=str(FOLDER / "artist.blend"))
+seen["reopened"] = left(FOLDER / "pb4u_cache")
+bpy.ops.wm.read_homefile(use_empty=True)
+with np.load(FOLDER / "body.npz") as arrays:
+    rig, body = rigged_body(arrays)
+settings = bpy.context.scene.pb4u
+settings.body = rig
+settings.garments.add().object = quad_skirt()
+settings.garments[0].pins = "waistband"
+simulate()
+simulate()
+seen["not saved"] = left(Path(bpy.app.tempdir) / "pb4u")
+""")
+    # The file was saved before its run, so once it is opened again nothing of it plays that.
+    assert seen == {"other": ["run_0001", "run_0003"], "reopened": ["run_0003"], "not saved": ["run_0002"]}
+
+
 def test_the_script_of_the_page_runs(run: Callable) -> None:
     (script,) = re.findall(r"^```py\n(.*?)^```", (ROOT / "docs" / "blender.md").read_text(), re.MULTILINE | re.DOTALL)
     before = "settings.garments.clear()\nbpy.context.scene.frame_end = 1\n"
