@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from pb4u.export.registry import export
+from pb4u.errors import InputError
+from pb4u.export.registry import check_target, export
 from pb4u.scene.trajectory import Trajectory
 
 
@@ -37,3 +38,14 @@ def test_a_sequence_keeps_the_mesh_of_a_cache_whose_name_ends_as_a_frame_s(
     export(trajectory, tmp_path / "walk_0006.pc2")
     export(cut(trajectory, 2), tmp_path / "walk.obj")
     assert names(tmp_path, "*.obj") == ["walk_0000.obj", "walk_0001.obj", "walk_0006.obj"]
+
+
+def test_meshes_of_others_that_are_called_as_frames_are_kept(trajectory: Trajectory, tmp_path: Path) -> None:
+    own = tmp_path / "walk_0001.obj"
+    own.write_text("# Blender\n")
+    with pytest.raises(InputError, match=r"walk_0001\.obj exists and is not from pb4u"):
+        check_target(tmp_path / "walk.obj")
+    check_target(tmp_path / "run.obj")
+    own.unlink()
+    for _ in range(2):
+        export(trajectory, tmp_path / "walk.obj")

@@ -173,6 +173,17 @@ def test_usd_binds_a_material_to_each_part_and_brings_the_image(printed: Traject
         assert any(package.read(name) == png() for name in package.namelist())
 
 
+def test_usd_keeps_images_of_others_that_have_its_names(printed: Trajectory, tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    (tmp_path / "tube.texture0.png").write_text("own")
+    with pytest.raises(InputError, match=r"tube\.texture0\.png exists"):
+        export(printed, tmp_path / "tube.usda")
+    assert (tmp_path / "tube.texture0.png").read_text() == "own"
+    export(printed, tmp_path / "tube.usdz")
+    for suffix in ("usdc", "usda", "usdc"):
+        export(printed, tmp_path / f"other.{suffix}")
+
+
 def test_pictures_show_the_image_right_way_up_unless_a_colour_is_asked_for(printed: Trajectory, tmp_path: Path) -> None:
     view = View(width=96, height=96, azimuth=0.0, show_body=False)
     seen = np.asarray(Image.open(export(printed, tmp_path / "tube.png", view=view)).convert("HSV"))

@@ -43,10 +43,28 @@ def later_frame_files(path: Path, frames: int) -> tuple[Path, ...]:
         path: name that the files are derived from.
         frames: number of frames of the sequence.
     """
-    numbered = re.compile(re.escape(path.stem) + r"_(\d{4,})" + re.escape(path.suffix))
-    found = [(file, numbered.fullmatch(file.name)) for file in path.parent.iterdir()]
-    numbers = [(file, int(match.group(1))) for file, match in found if match]
-    return tuple(sorted(file for file, number in numbers if number >= frames and _is_frame(file, number)))
+    return tuple(file for file, number in _numbered(path) if number >= frames and _is_frame(file, number))
+
+
+def check_frames(path: Path) -> None:
+    """Refuse an OBJ sequence whose frames could overwrite meshes that were not written here.
+
+    Args:
+        path: name that the files are derived from.
+
+    Raises:
+        InputError: such a mesh lies there.
+    """
+    for mesh, _ in _numbered(path):
+        if not is_own(mesh):
+            raise _not_ours(mesh, path)
+
+
+def _numbered(path: Path) -> list[tuple[Path, int]]:
+    """Files called as the frames of an OBJ sequence, and their numbers."""
+    name = re.compile(re.escape(path.stem) + r"_(\d{4,})" + re.escape(path.suffix))
+    found = [(file, name.fullmatch(file.name)) for file in sorted(path.parent.iterdir())]
+    return [(file, int(match.group(1))) for file, match in found if match]
 
 
 def is_own(mesh: Path) -> bool:
@@ -105,7 +123,11 @@ def check_companion(path: Path) -> None:
     """
     mesh = path.with_suffix(".obj")
     if mesh.exists() and not is_own(mesh):
-        raise InputError(f"{mesh} exists and is not from pb4u, and {path.name} needs that name: choose another name.")
+        raise _not_ours(mesh, path)
+
+
+def _not_ours(mesh: Path, path: Path) -> InputError:
+    return InputError(f"{mesh} exists and is not from pb4u, and {path.name} needs that name: choose another name.")
 
 
 def write_pc2(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:

@@ -55,6 +55,7 @@ FORMATS = (
         (".obj",),
         "OBJ is good to 0.5 µm, one file a frame, the garment alone",
         "pb4u.export.mesh_sequence:write_obj_sequence",
+        "pb4u.export.mesh_sequence:check_frames",
         files="pb4u.export.mesh_sequence:frame_files",
         stale="pb4u.export.mesh_sequence:later_frame_files",
     ),

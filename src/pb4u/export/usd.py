@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pb4u.errors import extra
+from pb4u.errors import InputError, extra
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.incomplete_file import incomplete
 from pb4u.export.panels import SewnPanels
@@ -26,21 +27,30 @@ if TYPE_CHECKING:
 
     from pb4u.scene.trajectory import TrajectoryHeader
 
+_WITH_IMAGES = (".usdc", ".usda")
+"""Suffixes of files that have their images beside them."""
 _FRAMES_BETWEEN_SAVES = 100
 """Saving empties the stage's memory of time samples, so it is done before they amount to much."""
 
 
 def check_usd(path: Path) -> None:
-    """Refuse USD where its library is not installed.
+    """Refuse USD where its library is not installed, or where its images could overwrite somebody's own.
 
     Args:
-        path: file to write, for the message.
+        path: file to write.
 
     Raises:
         MissingExtraError: the "usd" extra is not installed.
+        InputError: images of such names lie there, and no USD that they could be of.
     """
     with extra("usd", f"Writing {path.suffix}"):
         import pxr.Usd  # noqa: F401
+    if path.suffix.lower() == ".usdz" or any(path.with_suffix(suffix).exists() for suffix in _WITH_IMAGES):
+        return
+    name = re.compile(re.escape(path.stem) + r"\.texture\d+\.\w+")
+    for image in sorted(path.parent.iterdir()):
+        if name.fullmatch(image.name):
+            raise InputError(f"{image} exists, and an image of {path.name} could need that name: choose another name.")
 
 
 def write_usd(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:
