@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +98,19 @@ def test_files_of_other_kinds_are_refused(tmp_path: Path) -> None:
         build_scene(Run(motion=written(tmp_path / "a.pkl", recording()), as_recorded=True))
     with pytest.raises(InputError, match="give its file"):
         build_scene(Run(motion="walk", as_recorded=True))
+
+
+@pytest.mark.parametrize(("rate", "step", "told"), [(120.0, 4, ""), (100.0, 3, "0.90"), (59.94, 1, "0.50")])
+def test_amass_is_cropped_at_its_own_rate_and_told_where_it_plays_slower(
+    tmp_path: Path, rate: float, step: int, told: str
+) -> None:
+    translations = np.arange(60.0).reshape(20, 3) * [1.0, 0.0, 0.0]
+    np.savez(tmp_path / "a.npz", poses=np.zeros((20, 156)), trans=translations, betas=np.zeros(16), mocap_framerate=rate)
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        kept = read_smpl_sequence(tmp_path / "a.npz", (2, 15))
+    np.testing.assert_array_equal(kept.translations[:, 0], translations[2:15:step, 0])
+    assert [str(each.message).endswith(f"at {told} of its speed.") for each in heard] == ([True] if told else [])
 
 
 def test_body_vertices_are_left_out_of_contact_by_file(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence, world_rotations
 from pb4u.body.smpl import BETA_RANGE, JOINT_NAMES
-from pb4u.errors import InputError
+from pb4u.errors import InputError, warn
 from pb4u.geometry.rotation import about_axis, from_axis_angle, multiply, slerp
 from pb4u.io.array_archive import member_names, read_arrays
 from pb4u.io.reading_limits import names_text
@@ -22,6 +22,8 @@ from pb4u.motion.recording import finite_frames
 
 FPS = 30.0
 """Frames per second at which all recordings of the released code are played [1/s]."""
+_SAME_SPEED = 0.005
+"""Share by which a recording may be played slower without a word."""
 _JOINTS = len(JOINT_NAMES["smpl"])
 _HANDS = JOINT_NAMES["smpl"].index("left_hand")
 _LEFT_SHOULDER, _RIGHT_SHOULDER = (JOINT_NAMES["smpl"].index(f"{side}_shoulder") for side in ("left", "right"))
@@ -50,7 +52,7 @@ class RecordingAsItIs(Motion):
     Args:
         path: pickle of `body_pose`, `global_orient`, `transl`, `betas`, or of `pose`, `translation`, `shape` (VTO), or
             an .npz of AMASS.
-        crop: (first, stop) frames to keep.
+        crop: (first, stop) frames to keep, counted at the recording's own rate.
         arms_away_degrees: by which both shoulders are turned outward; 20 in the released code's `separate_arms`.
 
     Raises:
@@ -58,16 +60,12 @@ class RecordingAsItIs(Motion):
     """
 
     def __init__(self, path: Path, crop: tuple[int, int] | None = None, arms_away_degrees: float | None = None) -> None:
-        sequence = read_smpl_sequence(path)
-        frames = len(sequence.poses)
-        first, stop = crop or (0, frames)
-        if not 0 <= first < stop <= frames:
-            raise InputError(f"{path}: the crop {first}:{stop} is not inside the recording of {frames} frames.")
-        super().__init__(path.stem, (stop - first - 1) / FPS)
+        sequence = read_smpl_sequence(path, crop)
+        super().__init__(path.stem, (len(sequence.poses) - 1) / FPS)
         self.path = path
         self.betas = sequence.betas
-        self._translations = sequence.translations[first:stop]
-        self._local = from_axis_angle(sequence.poses[first:stop])
+        self._translations = sequence.translations
+        self._local = from_axis_angle(sequence.poses)
         self._local[:, _HANDS:] = [1.0, 0.0, 0.0, 0.0]
         for joint, sign in ((_LEFT_SHOULDER, 1.0), (_RIGHT_SHOULDER, -1.0)):
             turn = about_axis("z", np.deg2rad(sign * (arms_away_degrees or 0.0)))
@@ -118,18 +116,19 @@ class RecordingAsItIs(Motion):
         return PoseSequence(world_rotations(local, body.skeleton.parents), translations + root, FPS)
 
 
-def read_smpl_sequence(path: Path) -> SmplSequence:
+def read_smpl_sequence(path: Path, crop: tuple[int, int] | None = None) -> SmplSequence:
     """Pose parameters in a file of the released code, of VTO or of AMASS, at 30 frames per second with Y up.
 
     Args:
         path: the .pkl or .npz.
+        crop: (first, stop) frames to keep, counted at the recording's own rate.
 
     Raises:
-        InputError: it is none, is of another skeleton, or holds values that are not finite.
+        InputError: it is none, is of another skeleton, or holds values that are not finite, or the crop is not inside.
     """
     if not path.is_file():
         raise InputError(f'There is no motion file "{path}".')
-    sequence = _read_amass(path) if path.suffix.lower() == ".npz" else _read_pickle(path)
+    sequence, step = _read_amass(path) if path.suffix.lower() == ".npz" else (_read_pickle(path), 1)
     poses, translations, betas = sequence.poses, sequence.translations, sequence.betas
     if poses.shape[1:] != (_JOINTS, 3) or translations.shape != (len(poses), 3) or not len(poses) or betas.ndim != 1:
         raise InputError(
@@ -140,7 +139,10 @@ def read_smpl_sequence(path: Path) -> SmplSequence:
     low, _, high = BETA_RANGE
     if not ((betas >= low) & (betas <= high)).all():
         raise InputError(f"{path}: its shape has numbers outside {low:g} to {high:g}, which no body is drawn with.")
-    return sequence
+    first, stop = crop or (0, len(poses))
+    if not 0 <= first < stop <= len(poses):
+        raise InputError(f"{path}: the crop {first}:{stop} is not inside the recording of {len(poses)} frames.")
+    return SmplSequence(poses[first:stop:step], translations[first:stop:step], betas)
 
 
 def _read_pickle(path: Path) -> SmplSequence:
@@ -160,7 +162,8 @@ def _read_pickle(path: Path) -> SmplSequence:
     return SmplSequence(np.concatenate([root, body], axis=1).reshape(-1, _JOINTS, 3), translations, betas.reshape(-1))
 
 
-def _read_amass(path: Path) -> SmplSequence:
+def _read_amass(path: Path) -> tuple[SmplSequence, int]:
+    """All frames at their own rate, and how many of these the released code counts as one at its rate."""
     names = ("poses", "trans", "betas", "mocap_framerate")
     file = read_arrays(path, names)
     if missing := [name for name in names if name not in file]:
@@ -170,10 +173,16 @@ def _read_amass(path: Path) -> SmplSequence:
         raise _of_another_skeleton(path, poses)
     if rate.size != 1 or not FPS <= float(rate) < 1e4:
         raise InputError(f"{path} was recorded at {rate} frames per second; {FPS:g} or more are needed.")
-    every = slice(None, None, int(float(rate) / FPS))
-    joints = poses[every, : 3 * _JOINTS].reshape(-1, _JOINTS, 3)
-    x, y, z = translations[every].T
-    return SmplSequence(_turned_upright(joints), np.stack([x, z, -y], axis=1), betas.reshape(-1)[:10])
+    step = int(float(rate) / FPS)
+    speed = step * FPS / float(rate)
+    if abs(speed - 1.0) > _SAME_SPEED:
+        warn(
+            f"{path.name}: recorded at {float(rate):g} frames per second and played at {FPS:g} with one of every "
+            f"{step}, as the released code does: at {speed:.2f} of its speed."
+        )
+    x, y, z = translations.T
+    joints = _turned_upright(poses[:, : 3 * _JOINTS].reshape(-1, _JOINTS, 3))
+    return SmplSequence(joints, np.stack([x, z, -y], axis=1), betas.reshape(-1)[:10]), step
 
 
 def _turned_upright(joints: np.ndarray) -> np.ndarray:
