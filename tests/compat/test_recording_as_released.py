@@ -105,7 +105,9 @@ def test_amass_is_cropped_at_its_own_rate_and_told_where_it_plays_slower(
     tmp_path: Path, rate: float, step: int, told: str
 ) -> None:
     translations = np.arange(60.0).reshape(20, 3) * [1.0, 0.0, 0.0]
-    np.savez(tmp_path / "a.npz", poses=np.zeros((20, 156)), trans=translations, betas=np.zeros(16), mocap_framerate=rate)
+    np.savez(
+        tmp_path / "a.npz", poses=np.zeros((20, 156)), trans=translations, betas=np.zeros(16), mocap_framerate=rate
+    )
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
         kept = read_smpl_sequence(tmp_path / "a.npz", (2, 15))

@@ -11,8 +11,8 @@ from pb4u.body.sequence_files import write_vertex_sequence
 from pb4u.body.skeleton import joint_positions
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import angle_between, from_axis_angle, rotate
-from pb4u.motion.library import load_motion
-from pb4u.motion.smpl_recording import nominal_skeleton
+from pb4u.motion.library import load_motion, read_recording
+from pb4u.motion.smpl_recording import nominal_skeleton, smpl_recording
 
 FAMILY = {72: "smpl", 156: "smplh", 165: "smplx"}
 
@@ -126,6 +126,25 @@ def test_axis_other_than_usual_is_noticed_and_told(tmp_path):
     assert "Z up" in motion.notes[0]
     up = rotate(motion.recording.poses.rotations[:, 0], np.array([0.0, 1.0, 0.0]))
     np.testing.assert_allclose(up[:, 1], 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["amass", "joint by joint"])
+def test_a_recording_in_the_axes_of_a_camera_is_turned_upright(tmp_path, kind):
+    poses, translations = swinging(20, 72)
+    seen = poses.copy()
+    seen[:, :3] = [np.pi, 0.0, 0.0]
+    path, moved = tmp_path / "clip.npz", translations * [1, -1, -1]
+    if kind == "amass":
+        np.savez(path, poses=seen, trans=moved, mocap_framerate=30.0)
+    else:
+        np.savez(path, global_orient=seen[:, :3], body_pose=seen[:, 3:], transl=moved)
+    recording = read_recording(path)
+    assert "turned by 180 degrees" in recording.notes[0]
+    upright = smpl_recording(path, poses, translations, 30.0)
+    assert upright.notes == ()
+    np.testing.assert_allclose(recording.poses.root_positions, upright.poses.root_positions)
+    up = np.array([0.1, 1.0, 0.2])
+    np.testing.assert_allclose(rotate(recording.poses.rotations, up), rotate(upright.poses.rotations, up), atol=1e-9)
 
 
 def test_the_shape_that_was_recorded_is_told(tmp_path):

@@ -21,6 +21,7 @@ from pb4u.motion.recording import Recording, finite_frames, require_rate
 
 _FAMILY_OF_WIDTH = {3 * len(names): family for family, names in JOINT_NAMES.items()}
 _Z_UP_TO_Y_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
+_Y_DOWN_TO_Y_UP = np.array([0.0, 1.0, 0.0, 0.0])
 
 # A pose file holds no skeleton. This one has the proportions of an average adult in round numbers [m]; it serves to
 # scale the travel to other bodies and to tell how limbs rest, in a T-pose with the legs a little apart.
@@ -159,7 +160,8 @@ def smpl_recording(
         poses: (frames, 72, 156 or 165) rotation vectors of the joints, each from its parent [rad].
         translations: (frames, 3) [m].
         fps: frames per second; NaN where the file does not tell.
-        z_up: whether files of this kind have Z up; the other axis is taken where the pelvis plainly stands on it.
+        z_up: whether files of this kind have Z up; the other axis is taken where the pelvis plainly stands on it, and
+            Y down where it plainly hangs from it.
 
     Raises:
         InputError: a shape is wrong, there are no frames or values that are not finite.
@@ -177,11 +179,15 @@ def smpl_recording(
     numbers = np.concatenate([poses, translations], axis=1, dtype=np.float64)
     local = from_axis_angle(finite_frames(numbers, path)[:, :-3].reshape(len(poses), -1, 3))
     sequence = PoseSequence(world_rotations(local, skeleton.parents), numbers[:, -3:], fps)
-    _, y, z = np.abs(rotate(sequence.rotations[:, 0], np.array([0.0, 1.0, 0.0])).mean(0))
+    _, y, z = rotate(sequence.rotations[:, 0], np.array([0.0, 1.0, 0.0])).mean(0)
     notes: tuple[str, ...] = ()
-    if (z_up and y > 0.7 > z) or (not z_up and z > 0.7 > y):
+    if (z_up and abs(y) > 0.7 > abs(z)) or (not z_up and z > 0.7 > abs(y)):
         z_up = not z_up
         notes = (f"{path.name}: taken as {'Z' if z_up else 'Y'} up, which is where the pelvis points.",)
+    if not z_up and y < -0.7:  # the axes of a camera; none have Z down
+        rotations, roots = multiply(_Y_DOWN_TO_Y_UP, sequence.rotations), sequence.root_positions * [1.0, -1.0, -1.0]
+        sequence = PoseSequence(rotations, roots, fps)
+        notes = (f"{path.name}: turned by 180 degrees about X, since the pelvis points down, as in axes of a camera.",)
     if z_up:
         rotations = multiply(_Z_UP_TO_Y_UP, sequence.rotations)
         sequence = PoseSequence(rotations, rotate(_Z_UP_TO_Y_UP, sequence.root_positions), fps)
