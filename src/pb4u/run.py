@@ -113,7 +113,7 @@ class Run:
         arms_away: Degrees by which hanging arms are held away from the torso. Default: as far as
             keeps the arms of a recording out of the body; 0 leaves them as recorded.
         raw_motion: Leave motion from a video as it is, neither smoothed nor its feet held.
-        recorded_fps: Frames per second of a recording. Default: what its file says, or 30.
+        recorded_fps: Frames per second of a recording or a sequence of vertices. Default: what its file says, or 30.
         lead_in: Frames from the rest pose into the motion, simulated but not written. Default: one second.
         keep_lead_in: Write the lead-in frames as well, before those that --frames counts.
         frames: Frames to write. Default: the whole recording, or 60 of a built-in motion.

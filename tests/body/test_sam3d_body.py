@@ -69,6 +69,20 @@ def test_frames_in_one_file_and_trembling(tmp_path):
     assert jerk(calm) < 0.25 * jerk(body)
 
 
+@pytest.mark.parametrize(("fps", "stored"), [(24, 24.0), ([59.94], 59.94), (None, 30.0)])
+def test_a_rate_in_the_files_is_taken(tmp_path, fps, stored):
+    write_frames(tmp_path / "sam", frames(3), faces=BODY.faces, **({} if fps is None else {"fps": fps}))
+    with pytest.warns(InputWarning, match=LEVEL):
+        assert load_body(tmp_path / "sam").stored_fps == stored
+
+
+@pytest.mark.parametrize("fps", ["fast", [24.0, 25.0], 0.0])
+def test_a_rate_that_is_none_is_refused(tmp_path, fps):
+    write_frames(tmp_path / "sam", frames(3), faces=BODY.faces, fps=fps)
+    with pytest.raises(InputError, match=r'"fps" that is no number|positive frame rate'):
+        load_body(tmp_path / "sam")
+
+
 def test_what_is_missing_is_told(tmp_path):
     write_frames(tmp_path / "sam", frames(2))
     with pytest.raises(InputError, match=r"has no faces: put the estimator's beside it"):

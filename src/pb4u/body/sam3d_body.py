@@ -13,13 +13,13 @@ import numpy as np
 
 from pb4u.body.animated_body import FLOOR_PERCENTILE
 from pb4u.body.sequence_files import by_number, surface_of
-from pb4u.body.vertex_sequence import VertexSequence, require_usable
+from pb4u.body.vertex_sequence import DEFAULT_FPS, VertexSequence, require_usable
 from pb4u.errors import InputError, warn
 from pb4u.io.array_archive import member_names, read_arrays
 from pb4u.io.reading_limits import refusing
 
 VERTICES = "pred_vertices"
-_PLACE, _FACES = "pred_cam_t", ("faces", "mhr_faces")
+_PLACE, _FACES, _RATE = "pred_cam_t", ("faces", "mhr_faces"), "fps"
 _UPRIGHT = np.array([1.0, -1.0, -1.0], dtype=np.float32)
 _MESHES = (".ply", ".obj")
 
@@ -39,16 +39,18 @@ def read_sam3d_body(path: Path) -> VertexSequence:
 
     Args:
         path: an .npz with `pred_vertices` (vertices, 3) or (frames, vertices, 3), or a folder of one a frame. The faces
-            are in a member `faces`, or in a file beside it: `faces.npy`, or a .ply or .obj of one frame.
+            are in a member `faces`, or in a file beside it: `faces.npy`, or a .ply or .obj of one frame. A member `fps`
+            tells the frames per second, 30 without.
 
     Raises:
-        InputError: a part is missing, frames have different vertices, or there are no faces.
+        InputError: a part is missing, frames have different vertices, the rate is none, or there are no faces.
     """
     files = sorted(path.glob("*.npz"), key=by_number) if path.is_dir() else [path]
     frames: list[np.ndarray] = []
     faces: np.ndarray | None = None
+    fps = DEFAULT_FPS
     for file in files:
-        held = read_arrays(file, (VERTICES, _PLACE, *_FACES))
+        held = read_arrays(file, (VERTICES, _PLACE, _RATE, *_FACES))
         if VERTICES not in held or held[VERTICES].dtype.kind != "f" or held[VERTICES].shape[-1:] != (3,):
             raise InputError(f'{file} has no "{VERTICES}" (vertices, 3) as SAM 3D Body writes them.')
         vertices = held[VERTICES].astype(np.float32)
@@ -59,6 +61,8 @@ def read_sam3d_body(path: Path) -> VertexSequence:
         with refusing(file, f'has a "{_PLACE}" that does not fit its frames'):
             frames.append((vertices + place.reshape(-1, 1, 3)) * _UPRIGHT)
         faces = next((held[name] for name in _FACES if name in held), faces)
+        with refusing(file, f'has an "{_RATE}" that is no number'):
+            fps = float(held[_RATE].item()) if _RATE in held else fps
     vertices = np.concatenate(frames)
     faces = _faces_beside(path, vertices.shape[1]) if faces is None else faces
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
@@ -71,7 +75,7 @@ def read_sam3d_body(path: Path) -> VertexSequence:
         f"{path.name}: the ground is taken to be level for the camera, {-floor:.2f} m below it; where the camera "
         "looked down, turn the body upright first.",
     )
-    sequence = VertexSequence(path.stem, vertices, faces)
+    sequence = VertexSequence(path.stem, vertices, faces, fps)
     sequence.from_video = True
     return sequence
 

@@ -86,6 +86,14 @@ class VertexSequence(AnimatedBody):
             result += share * (following - result)
         return torch.from_numpy(np.ascontiguousarray(result))
 
+    def recorded_at(self, fps: float) -> VertexSequence:
+        """The same frames, at another rate than their file tells, or was taken to have.
+
+        Args:
+            fps: frames per second of `vertices`.
+        """
+        return self._with(stored_fps=fps, fps=fps)
+
     def resampled(self, fps: float) -> VertexSequence:
         """The same motion at another frame rate.
 

@@ -98,7 +98,7 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
     for job in jobs:
         scene = job.run
         points, corners, own_frames = body(
-            str(scene.body), scene.clip, scene.body_parts, scene.motion is None, scene.fps
+            str(scene.body), scene.clip, scene.body_parts, scene.motion is None, scene.fps, scene.recorded_fps
         )
         frames = scene.frames
         if frames is None:
@@ -117,14 +117,14 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
 
 
 def _body_counts(
-    name: str, clip: str | None, parts: str | None, alone: bool, fps: float
+    name: str, clip: str | None, parts: str | None, alone: bool, fps: float, recorded_fps: float | None
 ) -> tuple[int, int, int | None]:
     """Vertices and faces of a body, and its frames where it moves by itself: a character does without a motion."""
     body, frames = load_body_of(name, clip, parts), None
     if isinstance(body, Character):
         frames = body.available_frames(fps) if alone and body.clip is not None else None
     elif not isinstance(body, ShapedBody) and body.frame_count > 1:
-        frames = body.frame_count
+        frames = (body if recorded_fps is None else body.recorded_at(recorded_fps)).resampled(fps).frame_count
     return len(body.contact), len(body.faces), frames
 
 

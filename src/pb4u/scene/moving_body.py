@@ -175,7 +175,9 @@ def _load_motion(run: Run) -> tuple[Motion, str]:
 def _play(body: VertexSequence, run: Run) -> Performance:
     """A sequence moves by itself; it starts in the pose that garments are fitted to: neither cut nor posed."""
     motion, by_itself = run.motion, f"{body.name} is a sequence of vertices that moves by itself"
-    _refuse_changes(run, by_itself, "change the sequence where it comes from")
+    _refuse_changes(run, by_itself, "change the sequence where it comes from", ("crop", "arms_away"))
+    if run.recorded_fps is not None:
+        body = body.recorded_at(run.recorded_fps)
     if motion is not None:
         ignored = motion if isinstance(motion, str | Path) else motion.name
         warn(f"{by_itself}; the motion {ignored} is not used.")
@@ -190,9 +192,11 @@ def _play(body: VertexSequence, run: Run) -> Performance:
     return Performance(held, _frames(run, body.name, held.frame_count - run.led_frames), body.name)
 
 
-def _refuse_changes(run: Run, why: str, mend: str) -> None:
+def _refuse_changes(
+    run: Run, why: str, mend: str, options: tuple[str, ...] = ("crop", "arms_away", "recorded_fps")
+) -> None:
     """Refuse options that change a motion where none is loaded from a file."""
-    for option in ("crop", "arms_away", "recorded_fps"):
+    for option in options:
         if getattr(run, option) is not None:
             raise InputError(f"{why}, so --{option.replace('_', '-')} cannot be applied; {mend}.")
 
