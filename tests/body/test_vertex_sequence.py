@@ -1,5 +1,6 @@
 import struct
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -89,8 +90,8 @@ def test_a_point_cache_at_a_common_rate_has_all_of_its_frames(
 
 @pytest.mark.parametrize("suffix", ["obj", "ply"])
 def test_folder_is_read_in_natural_order(suffix: str, tmp_path: Path, box: tuple[np.ndarray, np.ndarray]) -> None:
-    # Ten would come before two in the order of text.
-    for number, vertices in zip((1, 2, 9, 10), box[0], strict=True):
+    # Ten would come before eight in the order of text.
+    for number, vertices in zip((8, 9, 10, 11), box[0], strict=True):
         path = tmp_path / f"frame{number}.{suffix}"
         if suffix == "obj":
             write_obj(path, vertices, box[1].tolist())
@@ -101,6 +102,26 @@ def test_folder_is_read_in_natural_order(suffix: str, tmp_path: Path, box: tuple
     np.testing.assert_allclose(body.positions(0, 4), box[0], atol=1e-6)
     np.testing.assert_array_equal(body.faces, box[1])
     assert body.fps == 30.0
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (("w_01", "w_02", "w_05", "w_06"), "2 in all and the first after w_02.obj"),
+        (("4", "8", "12", "20"), "1 in all and the first after 12.obj"),
+        (("w_2", "w_4", "w_6", "w_8"), ""),
+        (("a", "b", "c", "d"), ""),
+        (("a1_1", "a1_2", "a9_1", "a9_2"), ""),
+        (("a1", "a2", "a9", "b"), ""),
+    ],
+)
+def test_frames_missing_from_a_folder_are_told(
+    names: tuple[str, ...], told: str, tmp_path: Path, box: tuple[np.ndarray, np.ndarray]
+) -> None:
+    for name, vertices in zip(names, box[0], strict=True):
+        write_obj(tmp_path / f"{name}.obj", vertices, box[1].tolist())
+    with pytest.warns(InputWarning, match=told) if told else nullcontext():
+        load_body(tmp_path)
 
 
 def test_quads_become_triangles_and_negative_indices_count_back(tmp_path: Path) -> None:

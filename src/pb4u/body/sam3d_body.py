@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pb4u.body.animated_body import FLOOR_PERCENTILE
-from pb4u.body.sequence_files import by_number, surface_of
+from pb4u.body.sequence_files import by_number, surface_of, warn_of_gaps
 from pb4u.body.vertex_sequence import DEFAULT_FPS, VertexSequence, require_usable
 from pb4u.errors import InputError, warn
 from pb4u.io.array_archive import member_names, read_arrays
@@ -46,6 +46,7 @@ def read_sam3d_body(path: Path) -> VertexSequence:
         InputError: a part is missing, frames have different vertices, the rate is none, or there are no faces.
     """
     files = sorted(path.glob("*.npz"), key=by_number) if path.is_dir() else [path]
+    warn_of_gaps(path, files)
     frames: list[np.ndarray] = []
     faces: np.ndarray | None = None
     fps = DEFAULT_FPS

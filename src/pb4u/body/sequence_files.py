@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from pb4u.body.vertex_sequence import DEFAULT_FPS, VertexSequence, refuse_large, require_usable, warn_of_oddities
-from pb4u.errors import InputError, on_disk
+from pb4u.errors import InputError, on_disk, warn
 from pb4u.geometry.mesh_file import read_mesh, read_with_trimesh
 from pb4u.geometry.obj_file import read_obj_vertices
 from pb4u.geometry.triangulation import triangulate
@@ -116,6 +117,7 @@ def _read_folder(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     if len({p.suffix.lower() for p in files}) > 1:
         raise InputError(f"{folder} holds both .obj and .ply files; keep one kind per folder.")
     files.sort(key=by_number)
+    warn_of_gaps(folder, files)
     first, faces = surface_of(files[0])
     _, first_faces = _read_frame(files[0])
     frames = np.empty((len(files), *first.shape), dtype=np.float32)
@@ -139,6 +141,31 @@ def by_number(file: Path) -> list[object]:
         file: one of them.
     """
     return [int(word) if word.isdigit() else word for word in re.split(r"(\d+)", file.stem)]
+
+
+def warn_of_gaps(folder: Path, files: Sequence[Path]) -> None:
+    """Warn where the numbers of a folder's frames rise by more than their common step, as frames are missing there.
+
+    Args:
+        folder: path of the folder, for the message.
+        files: its frames, in their order.
+    """
+    words = [by_number(file) for file in files]
+    varying = [column for column in zip(*words, strict=False) if len(set(column)) > 1]
+    # Names without a number of their own, or with two of them, tell no order of time.
+    if len({len(each) for each in words}) > 1 or len(varying) != 1:
+        return
+    numbers = np.array([number for number in varying[0] if isinstance(number, int)])
+    if len(numbers) < len(files):
+        return
+    steps, counts = np.unique(np.diff(numbers), return_counts=True)
+    step = max(int(steps[counts.argmax()]), 1)
+    missing = np.diff(numbers) // step - 1
+    if missing.max() > 0:
+        warn(
+            f"{folder}: frames are missing, {missing.clip(0).sum()} in all and the first after "
+            f"{files[int(np.argmax(missing > 0))].name}; the motion leaps there, and ends sooner."
+        )
 
 
 def _read_frame(path: Path) -> tuple[np.ndarray, bytes]:
