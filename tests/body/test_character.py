@@ -169,6 +169,17 @@ def test_the_clip_is_led_into_from_the_bind_pose(woman_file):
     assert np.abs(frames[:20, :, 1].min(axis=1)).max() < 0.03
 
 
+def test_a_lead_in_that_an_uneven_scale_shears_is_refused(tmp_path):
+    def tilted(writer):
+        writer.document["nodes"][0] |= {"scale": [1.0, 1.0, 2.0], "rotation": [np.sin(0.2), 0.0, 0.0, np.cos(0.2)]}
+
+    body = load_body(write_woman(tmp_path / "woman.glb", change=tilted))
+    poses = body.clip_poses(30.0, 3)
+    with pytest.raises(InputError, match=r"a node is sheared.*--lead-in 0"):
+        character_lead_in(body, poses, 30.0, 2)
+    assert len(character_lead_in(body, poses, 30.0, 0)) == 3
+
+
 @pytest.mark.parametrize(
     "names",
     [

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from pb4u.body.character import Character, PosedCharacter
 from pb4u.body.node_animation import NodePoses, parted
+from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_xyzw, slerp, to_xyzw
 from pb4u.motion.curves import ease
 from pb4u.motion.lead_in import run_up
@@ -25,6 +26,9 @@ def character_lead_in(character: Character, poses: NodePoses, fps: float, frames
         poses: of its clip.
         fps: frames per second.
         frames: how many frames lead in.
+
+    Raises:
+        InputError: a node of uneven scale shears its bones there.
     """
     if frames == 0:
         return poses
@@ -98,7 +102,13 @@ def _standing(character: Character, first: NodePoses) -> NodePoses:
         above = world if parent < 0 else stands[parent]
         if node in binds:
             local = np.linalg.inv(above) @ place @ binds[node]
-            translations[0, node], rotations[0, node], scales[0, node] = parted(local)
+            try:
+                translations[0, node], rotations[0, node], scales[0, node] = parted(local)
+            except ValueError as error:
+                raise InputError(
+                    f"{character.name}: in its bind pose {error}, as under one of uneven scale; apply the scales of "
+                    "its nodes in the program it comes from, or leave its way there out with --lead-in 0."
+                ) from error
             stands[node] = place @ binds[node]
         else:
             stands[node] = above @ first.matrices(node)[0]
