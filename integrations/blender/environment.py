@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -67,19 +68,38 @@ def python_for_environment() -> Path:
     raise PlainError(f"No Python from {versions} that can make an environment was found; install one and try again.")
 
 
-def installation(python: Path, environment: Path, source: str) -> list[list[str]]:
+def installation(python: Path, environment: Path, wanted: list[str]) -> list[list[str]]:
     """The commands that make the environment and install pb4u into it.
 
     Args:
         python: that makes it.
         environment: folder of the environment.
-        source: what pip installs: a package name, a wheel, a folder or an address.
+        wanted: what pip installs, from `requirements`.
     """
     own = environment / _SCRIPTS / _PYTHON
     return [
         [str(python), "-m", "venv", str(environment)],
-        [str(own), "-m", "pip", "install", "--upgrade", *source.split()],
+        [str(own), "-m", "pip", "install", "--upgrade", *wanted],
     ]
+
+
+def requirements(source: str) -> list[str]:
+    """What pip is to install: one path where there is such a file or folder, else words, which quotes hold together.
+
+    Args:
+        source: a package name, a wheel, a folder or an address, as the preferences have it.
+
+    Raises:
+        PlainError: a quote is not closed.
+    """
+    path = os.path.expanduser(source.strip())
+    if os.path.exists(path):
+        return [path]
+    try:
+        # In Windows a backslash is a part of a path.
+        return shlex.split(source.replace("\\", "\\\\") if os.name == "nt" else source)
+    except ValueError:
+        raise PlainError(f"A quote in {source} is not closed.") from None
 
 
 def plain_environment() -> dict[str, str]:

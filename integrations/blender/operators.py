@@ -10,7 +10,16 @@ from pathlib import Path
 import bpy
 
 from . import baking, scene_folder
-from .environment import PlainError, ask, installation, last_sentence, names, plain_environment, python_for_environment
+from .environment import (
+    PlainError,
+    ask,
+    installation,
+    last_sentence,
+    names,
+    plain_environment,
+    python_for_environment,
+    requirements,
+)
 from .job import cache_folder, is_own, prepare, running_job, start
 from .preferences import command, environment_folder, preferences
 
@@ -337,16 +346,17 @@ class PB4U_OT_install(SentenceOperator):
 
     def act(self, context):
         own = preferences(context)
-        is_local = Path(bpy.path.abspath(own.source.split()[-1] if own.source else "")).exists()
         if not own.source.strip():
             raise PlainError("Say what to install: a package name, a wheel, a folder or an address.")
+        wanted = requirements(bpy.path.abspath(own.source.strip()))
+        is_local = Path(wanted[-1]).exists()
         if not bpy.app.online_access and not is_local:
             raise PlainError(
                 "Blender is set to stay offline; allow online access in Preferences > System, or install from a wheel."
             )
         environment_folder(create=True)
         python = python_for_environment()
-        for told in installation(python, environment_folder(), own.source):
+        for told in installation(python, environment_folder(), wanted):
             print("pb4u:", " ".join(told))
             ended = subprocess.run(told, capture_output=True, text=True, env=plain_environment())
             if ended.returncode:

@@ -388,7 +388,8 @@ seen["face"] = sorted(skirt.data.polygons[200].vertices)
 
 
 def test_pb4u_is_installed_into_an_environment_of_its_own(run: Callable, tmp_path: Path) -> None:
-    wheel = tmp_path / "pb4u-9.9-py3-none-any.whl"
+    wheel = tmp_path / "my wheels" / "pb4u-9.9-py3-none-any.whl"
+    wheel.parent.mkdir()
     told = "def main():\n    import json, sys\n    print('pb4u 9.9' if '--version' in sys.argv else json.dumps({}))\n"
     with zipfile.ZipFile(wheel, "w") as archive:
         archive.writestr("pb4u.py", told)
@@ -405,6 +406,8 @@ except RuntimeError as error:
     seen["offline"] = str(error)
 own.source = {str(wheel)!r}
 seen["installed"] = list(bpy.ops.pb4u.install())
+own.source = {f"--no-index '{wheel}'"!r}
+seen["with options"] = list(bpy.ops.pb4u.install())
 seen["status"] = own.status
 own.source = {str(tmp_path / "artist.blend")!r}
 try:
@@ -413,7 +416,7 @@ except RuntimeError as error:
     seen["failed"] = str(error)
 """)
     assert "Blender is set to stay offline" in seen["offline"]
-    assert seen["installed"] == ["FINISHED"]
+    assert seen["installed"] == seen["with options"] == ["FINISHED"]
     assert seen["status"].startswith("Installed: pb4u 9.9 at ")
     assert str(tmp_path / "user") in seen["status"]
     assert "failed:" in seen["failed"]
