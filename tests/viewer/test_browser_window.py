@@ -21,6 +21,7 @@ from pb4u.run import Run, WornGarment
 from pb4u.viewer.browser_window import BrowserWindow
 from pb4u.viewer.clip import RecordedClip
 from pb4u.viewer.film import Film
+from pb4u.viewer.worker import route_warnings
 
 TINY = Run((WornGarment(triangles=400),), frames=4, lead_in=2, model="skinning")
 
@@ -63,6 +64,16 @@ def test_two_clips_are_measured_while_many_threads_seek(client: MagicMock, windo
     assert first.tolist() == second.tolist()
     assert [measurement.failure for measurement in window.measurements] == [None, None]
     client.add_notification.assert_not_called()
+
+
+def test_warnings_of_an_export_are_said_on_the_page(client: MagicMock) -> None:
+    window = BrowserWindow(client, (RecordedClip(trajectory(3, lost=(1,)), "walk.npz"),))
+    undo = route_warnings()
+    try:
+        assert "1 of 3 frames are not finite" in window.export(".glb", 0)
+    finally:
+        undo()
+        assert window.close(timeout=10.0)
 
 
 def test_one_simulation_at_a_time_and_a_refusal_leaves_it_alone(client: MagicMock, window: BrowserWindow) -> None:

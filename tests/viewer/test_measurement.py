@@ -89,6 +89,14 @@ def test_an_export_is_the_file_and_can_be_kept(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
+@pytest.mark.parametrize(
+    ("label", "named"),
+    [("dress.npz", "dress.glb"), ("платье.npz", "платье.glb"), ("v1.2", "v1_2.glb"), ("..", "garment.glb")],
+)
+def test_an_export_is_called_as_its_clip_is(label: str, named: str) -> None:
+    assert deliver(RecordedClip(trajectory(3), label), ".glb")[0] == named
+
+
 def test_an_export_replaces_nothing_in_the_folder(tmp_path: Path) -> None:
     (tmp_path / "walk.npz").write_text("somebody's")
     clip = RecordedClip(trajectory(3), "walk")

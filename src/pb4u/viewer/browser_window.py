@@ -21,7 +21,7 @@ from pb4u.viewer.simulation_panel import SimulationPanel
 from pb4u.viewer.uploads import Uploads, bound_uploads
 from pb4u.viewer.view_panels import LookPanel, TimelinePanel
 from pb4u.viewer.view_state import ViewState
-from pb4u.viewer.worker import plain_sentence
+from pb4u.viewer.worker import heard_warnings, plain_sentence
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -218,10 +218,12 @@ class BrowserWindow:
         if not clips:
             raise InputError("There is nothing to export yet; simulate something first.")
         remarks: list[str] = []
-        name, content, kept = deliver(clips[min(which, len(clips) - 1)], suffix, self._out, remarks.append)
+        with heard_warnings(remarks):
+            name, content, kept = deliver(clips[min(which, len(clips) - 1)], suffix, self._out, remarks.append)
         self._client.send_file_download(name, content, save_immediately=True)
         where = f" It is also kept as {kept}." if kept else ""
-        return " ".join([f"{name}, {len(content) / 1e6:.1f} MB, was handed to the browser.{where}", *remarks])
+        handed = f"{name}, {len(content) / 1e6:.1f} MB, was handed to the browser.{where}"
+        return " ".join([handed, *dict.fromkeys(remarks)])
 
     # What the simulation tells, from its own thread.
 

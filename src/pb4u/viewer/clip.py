@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import warnings
+from pathlib import Path
 
 import numpy as np
 
 from pb4u.errors import InputWarning
 from pb4u.export.finite_frames import held_frames, hold_finite
+from pb4u.export.registry import WRITERS
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 
 
@@ -38,6 +41,13 @@ class Clip:
     def frame_count(self) -> int:
         """Number of frames that are there now."""
         return self._shown.frame_count
+
+    @property
+    def file_stem(self) -> str:
+        """What files of it are called, less their suffix."""
+        name = Path(self.label)
+        known = name.stem if name.suffix.lower() in WRITERS else self.label
+        return re.sub(r"\W+", "_", known).strip("_") or "garment"
 
     def garment(self, t: int) -> np.ndarray:
         """Vertices (vertices, 3) float32 [m] of all garments at frame t.

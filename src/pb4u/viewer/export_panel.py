@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 import tempfile
 import threading
 import zipfile
@@ -145,7 +144,7 @@ def deliver(
     refuse_unknown("format", [suffix], WRITERS)
     if not clip.frame_count:
         raise InputError("There is no frame to export yet.")
-    stem = re.sub(r"[^A-Za-z0-9]+", "_", clip.label).strip("_") or "garment"
+    stem = clip.file_stem
     with _ONE_AT_A_TIME, tempfile.TemporaryDirectory(prefix="pb4u-") as scratch:
         target = Path(scratch) / f"{stem}{suffix}"
         export(clip.trajectory(), target, say=say)

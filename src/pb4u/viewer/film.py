@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -61,7 +60,7 @@ class Film:
         """Name and content of the file, and what else to know of it as a predicate, or nothing."""
         from PIL import Image
 
-        stem = re.sub(r"[^A-Za-z0-9]+", "_", self.clip.label).strip("_") or "garment"
+        stem = self.clip.file_stem
         if self.suffix == ".png":
             written = io.BytesIO()
             Image.fromarray(self.pictures[0]).save(written, "PNG")
