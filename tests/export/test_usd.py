@@ -10,7 +10,7 @@ import pytest
 
 from pb4u.export.registry import export
 from pb4u.export.selection import on_source
-from pb4u.export.shading import garment_colours
+from pb4u.export.shading import SKIN, garment_colours
 from pb4u.scene.trajectory import Trajectory
 
 pxr = pytest.importorskip("pxr", reason='the "usd" extra is not installed')
@@ -58,7 +58,11 @@ def test_each_garment_has_a_colour_of_its_own(trajectory: Trajectory, tmp_path: 
     stage = Usd.Stage.Open(str(export(outfit, tmp_path / "outfit.usda")))
     shown = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Scene/Garment")).GetPrimvar("displayColor")
     assert shown.GetInterpolation() == "uniform"
-    np.testing.assert_allclose(shown.Get(), garment_colours(2)[upper[trajectory.faces[:, 0]].astype(int)], atol=1e-6)
+    # Colours of USD are linear.
+    wanted = garment_colours(2)[upper[trajectory.faces[:, 0]].astype(int)] ** 2.2
+    np.testing.assert_allclose(shown.Get(), wanted, atol=1e-6)
+    (skin,) = UsdGeom.Mesh(stage.GetPrimAtPath("/Scene/Body")).GetDisplayColorAttr().Get()
+    np.testing.assert_allclose(skin, np.array(SKIN) ** 2.2, atol=1e-6)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

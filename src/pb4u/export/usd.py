@@ -16,7 +16,7 @@ from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.incomplete_file import incomplete
 from pb4u.export.panels import SewnPanels
 from pb4u.export.pieces import Piece, pieces
-from pb4u.export.shading import CLOTH, SKIN, ClothPart, cloth_parts, unit_normals
+from pb4u.export.shading import CLOTH, SKIN, ClothPart, Colour, cloth_parts, unit_normals
 from pb4u.geometry.appearance import image_suffix
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.author_mesh import Polygons
@@ -146,7 +146,13 @@ class _AnimatedMesh:
         self.mesh.GetExtentAttr().Set(UsdGeom.PointBased.ComputeExtent(points), t)
 
 
-def _define(stage: Usd.Stage, name: str, polygons: Polygons, colour: tuple[float, float, float]) -> UsdGeom.Mesh:
+def _linear(colour: Colour) -> Colour:
+    """A colour as USD takes it, from sRGB [0 to 1]."""
+    red, green, blue = (float(channel) ** 2.2 for channel in colour)
+    return red, green, blue
+
+
+def _define(stage: Usd.Stage, name: str, polygons: Polygons, colour: Colour) -> UsdGeom.Mesh:
     from pxr import UsdGeom, Vt
 
     mesh = UsdGeom.Mesh.Define(stage, name)
@@ -159,7 +165,7 @@ def _define(stage: Usd.Stage, name: str, polygons: Polygons, colour: tuple[float
     mesh.CreateNormalsAttr()
     mesh.CreateExtentAttr()
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
-    mesh.CreateDisplayColorAttr(Vt.Vec3fArray([colour]))
+    mesh.CreateDisplayColorAttr(Vt.Vec3fArray([_linear(colour)]))
     return mesh
 
 
@@ -193,7 +199,7 @@ def _colour_cloth(
         part_of_face[part.faces] = k
     # The triangles of a polygon follow each other, two fewer than its corners.
     of_polygon = part_of_face[np.cumsum(outlines.sizes - 2) - (outlines.sizes - 2)]
-    colours = np.array([part.colour for part in parts])[of_polygon].astype(np.float32)
+    colours = np.array([_linear(part.colour) for part in parts])[of_polygon].astype(np.float32)
     mesh.CreateDisplayColorAttr(Vt.Vec3fArray.FromNumpy(colours))
     UsdGeom.PrimvarsAPI(mesh).GetPrimvar("displayColor").SetInterpolation(UsdGeom.Tokens.uniform)
     own = mesh.GetPrim().GetName()
@@ -219,7 +225,7 @@ def _material(stage: Usd.Stage, own: str, part: ClothPart, images: dict[bytes, s
     surface = UsdShade.Shader.Define(stage, f"{name}/surface")
     surface.CreateIdAttr("UsdPreviewSurface")
     surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.85)
-    linear = [float(channel) ** 2.2 for channel in part.colour]
+    linear = _linear(part.colour)
     colour = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
     colour.Set(Gf.Vec3f(*linear))
     material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
