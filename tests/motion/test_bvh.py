@@ -76,6 +76,12 @@ def test_joints_that_leave_their_places_are_told(bvh):
     assert read_bvh(path).notes == ("clip: bones keep their lengths; the positions of Spine are not followed.",)
 
 
+def test_a_byte_order_mark_is_skipped(bvh):
+    path = bvh()
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert len(read_bvh(path).poses) == 4
+
+
 def test_name_prefix_is_ignored(bvh):
     with_prefix, without = read_bvh(bvh(prefix="mixamorig1:")), read_bvh(bvh(prefix=""))
     assert with_prefix.skeleton.names == without.skeleton.names

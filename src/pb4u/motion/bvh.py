@@ -41,7 +41,7 @@ def read_bvh(path: Path) -> Recording:
         InputError: it is cut short or malformed (naming the joint or frame), has no frames or no frame time, or its
             joints are not of a known skeleton.
     """
-    text = path.read_text(encoding="utf-8", errors="replace")
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
     head, motion, tail = text.partition("MOTION")
     if not motion or not head.lstrip().upper().startswith("HIERARCHY"):
         missing = "MOTION section; it is cut short" if "HIERARCHY" in head else "HIERARCHY; it is not a BVH recording"
