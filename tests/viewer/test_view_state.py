@@ -20,6 +20,12 @@ def test_two_clips_share_one_timeline_in_seconds() -> None:
     assert [state.frame_of(clip, 15) for clip in (slow, fast)] == [8, 30]
 
 
+def test_the_last_frame_of_a_clip_at_a_broken_rate_is_on_the_timeline() -> None:
+    state = ViewState(PlaybackClock(lambda: 0.0))
+    state.load((RecordedClip(trajectory(3, fps=59.94), "short"), RecordedClip(trajectory(12, fps=29.97), "long")))
+    assert state.clock.frame_count == 23
+
+
 def test_lost_frames_are_held_and_named() -> None:
     clip = RecordedClip(trajectory(8, lost=(3, 4)), "b.npz")
     state = ViewState()

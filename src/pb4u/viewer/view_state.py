@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from copy import copy
 
+from pb4u.export.selection import resampled_count
 from pb4u.viewer.clip import Clip
 
 SHADED = "shaded"
@@ -229,6 +230,6 @@ class ViewState:
             return 0
         fps = self.clips[0].header.fps
         return max(
-            clip.frame_count if clip is self.clips[0] else int((clip.frame_count - 1) * fps / clip.header.fps) + 1
+            clip.frame_count if clip is self.clips[0] else resampled_count(clip.frame_count, clip.header.fps, fps)
             for clip in self.clips
         )
