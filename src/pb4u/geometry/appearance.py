@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, count
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +16,10 @@ from pb4u.errors import InputError, warn
 from pb4u.geometry.topology import offsets
 from pb4u.io.atomic_file import replace_file
 from pb4u.io.mtl_file import image_of, statements
-from pb4u.io.reading_limits import parse_json
+from pb4u.io.reading_limits import parse_json, refusing
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 
 @dataclass(frozen=True)
@@ -129,30 +133,36 @@ def read_image(path: Path) -> bytes:
     Raises:
         InputError: it is missing, or no image that can be read.
     """
-    from PIL import Image, UnidentifiedImageError
-
     if not path.is_file():
         raise InputError(f"There is no image {path}.")
-    try:
-        content = path.read_bytes()
-        with Image.open(io.BytesIO(content)) as image:
-            image.load()
-            return content if image.format in ("PNG", "JPEG") else as_png(image)
-    except UnidentifiedImageError:
-        raise InputError(f"{path} is no image, or a damaged one; save it as PNG or JPEG.") from None
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path} cannot be read as an image ({error}); save it as PNG or JPEG.") from None
+    with refusing(path, "cannot be read as an image"):
+        return sound_image(path.read_bytes(), str(path))
 
 
-def as_png(image: object) -> bytes:
-    """The content of a PNG file of an image of Pillow.
+def sound_image(content: bytes, name: str) -> bytes:
+    """Content of a PNG or JPEG file; other kinds of images are turned into PNG.
 
     Args:
-        image: an image of Pillow.
-    """
-    from PIL import Image
+        content: of a file.
+        name: what the image is called in a refusal.
 
-    assert isinstance(image, Image.Image)
+    Raises:
+        InputError: it is no image that can be read.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(io.BytesIO(content)) as image:
+            image.load()
+            return content if image.format in ("PNG", "JPEG") else _as_png(image)
+    except UnidentifiedImageError:
+        raise InputError(f"{name} is no image, or a damaged one; save it as PNG or JPEG.") from None
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise InputError(f"{name} cannot be read as an image ({error}); save it as PNG or JPEG.") from None
+
+
+def _as_png(image: Image.Image) -> bytes:
+    """The content of a PNG file of an image."""
     written = io.BytesIO()
     image.convert("RGBA" if "A" in image.getbands() else "RGB").save(written, "PNG")
     return written.getvalue()

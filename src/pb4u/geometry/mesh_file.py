@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.geometry.appearance import Appearance, Appearances, as_png
+from pb4u.geometry.appearance import Appearances
 from pb4u.geometry.topology import joined_indices, offsets
 from pb4u.io.reading_limits import refusing
 
 _TRIMESH = "pb4u.geometry.mesh_file:read_with_trimesh"
+_GLTF = "pb4u.geometry.gltf_mesh_file:read_gltf_mesh"
 READERS = {
     ".obj": "pb4u.geometry.obj_file:read_obj",
-    ".ply": _TRIMESH, ".stl": _TRIMESH, ".glb": _TRIMESH, ".gltf": _TRIMESH, ".off": _TRIMESH,
+    ".ply": _TRIMESH, ".stl": _TRIMESH, ".glb": _GLTF, ".gltf": _GLTF, ".off": _TRIMESH,
 }  # fmt: skip
 """Suffix -> function of a path that gives its `PolygonMesh`; another format is one more line here."""
 
@@ -46,7 +47,7 @@ class PolygonMesh:
 
 
 def read_mesh(path: Path, refuse_large: Callable[[int], None]) -> PolygonMesh:
-    """The mesh in a file, polygons and UVs kept where the format has them (OBJ).
+    """The mesh in a file, polygons and UVs kept where the format has them.
 
     Args:
         path: the file; its suffix, one of `READERS`, says how it is read.
@@ -64,10 +65,9 @@ def read_mesh(path: Path, refuse_large: Callable[[int], None]) -> PolygonMesh:
 
 
 def read_with_trimesh(path: Path) -> PolygonMesh:
-    """The triangles of a file in any format that trimesh reads, with colours and images of a glTF.
+    """The triangles of a file in any format that trimesh reads.
 
-    Corners in the same place are one vertex in STL, which has no connectivity, and in glTF, which copies vertices at
-    every UV seam.
+    Corners in the same place are one vertex in STL, which has no connectivity.
 
     Args:
         path: the file; its suffix says the format.
@@ -86,41 +86,45 @@ def read_with_trimesh(path: Path) -> PolygonMesh:
     vertices = np.concatenate([part.vertices for part in parts]).astype(np.float64)
     starts = offsets([part.vertices for part in parts])
     faces = joined_indices([part.faces for part in parts], starts).astype(np.int64)
+    require_sound(path, vertices, faces)
+    corners = faces
+    if path.suffix.lower() == ".stl":
+        vertices, faces = welded(vertices, faces)
+    known = [getattr(part.visual, "uv", None) for part in parts]
+    if all(uvs is None or len(uvs) != len(part.vertices) for uvs, part in zip(known, parts, strict=True)):
+        return PolygonMesh(vertices, tuple(faces))
+    uvs = [np.zeros((len(part.vertices), 2)) if uv is None else uv for uv, part in zip(known, parts, strict=True)]
+    return PolygonMesh(vertices, tuple(faces), np.concatenate(uvs).astype(np.float64), tuple(corners))
+
+
+def require_sound(path: Path, vertices: np.ndarray, corners: np.ndarray) -> None:
+    """Refuse a mesh whose numbers cannot be used.
+
+    Args:
+        path: the file that it was read from.
+        vertices: (vertices, 3) [m].
+        corners: (...) int64 the vertices that its faces name.
+
+    Raises:
+        InputError: a vertex is not finite, or a face names one that is not there.
+    """
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(bad):
         raise InputError(
             f"{path}: {len(bad)} vertices are NaN or infinite, first {bad[:5].tolist()}; delete or mend them and "
             "export again."
         )
-    if faces.min() < 0 or faces.max() >= len(vertices):
+    if corners.min() < 0 or corners.max() >= len(vertices):
         raise InputError(f"{path}: a face names a vertex out of range, the file has {len(vertices)}; export it again.")
-    corners = faces
-    if path.suffix.lower() in (".stl", ".glb", ".gltf"):
-        first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)[1:]
-        order = np.argsort(first)
-        vertices, faces = vertices[first[order]], np.argsort(order)[same.reshape(-1)][faces]
-    known = [getattr(part.visual, "uv", None) for part in parts]
-    if all(uvs is None or len(uvs) != len(part.vertices) for uvs, part in zip(known, parts, strict=True)):
-        return PolygonMesh(vertices, tuple(faces), appearances=_appearances(parts, False))
-    uvs = [np.zeros((len(part.vertices), 2)) if uv is None else uv for uv, part in zip(known, parts, strict=True)]
-    return PolygonMesh(
-        vertices, tuple(faces), np.concatenate(uvs).astype(np.float64), tuple(corners), _appearances(parts, True)
-    )
 
 
-def _appearances(parts: list[Any], laid_on: bool) -> Appearances | None:
-    """Base colours and images of glTF's meshes; images only where UVs say how they are laid on."""
-    found: list[Appearances | None] = []
-    for part in parts:
-        material: Any = getattr(part.visual, "material", None)
-        factor = getattr(material, "baseColorFactor", None)
-        image = getattr(material, "baseColorTexture", None) if laid_on else None
-        if factor is None and image is None:
-            found.append(None)
-            continue
-        linear = np.ones(3) if factor is None else np.asarray(factor[:3], dtype=np.float64) / 255.0
-        red, green, blue = (linear ** (1 / 2.2)).tolist()
-        content = None if image is None else as_png(image)
-        listed = (Appearance(str(material.name or "material"), (red, green, blue), content),)
-        found.append(Appearances(listed, np.zeros(len(part.faces), dtype=np.int64)))
-    return Appearances.joined(found, [len(part.faces) for part in parts])
+def welded(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices in the same place as one, in the order in which they come first, and the faces of them.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+    """
+    first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)[1:]
+    order = np.argsort(first)
+    return vertices[first[order]], np.argsort(order)[same.reshape(-1)][faces]

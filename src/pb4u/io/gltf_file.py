@@ -89,6 +89,23 @@ class GltfFile:
             values = np.maximum(values.astype(np.float64) / scale, -np.inf if kind.kind == "f" else -1.0)
         return values[:, 0] if width == 1 else values
 
+    def image(self, index: int) -> bytes:
+        """Content of an image, within the file or beside it.
+
+        Args:
+            index: number of the image.
+
+        Raises:
+            InputError: it is not beside the file.
+            LookupError, ValueError, TypeError: it is damaged.
+        """
+        entry = self.entries("images")[index]
+        if "bufferView" not in entry:
+            return _beside(self.path, entry["uri"], b"")
+        view = self.entries("bufferViews")[entry["bufferView"]]
+        start = view.get("byteOffset", 0)
+        return self.buffers[view["buffer"]][start : start + view["byteLength"]]
+
     def _view(self, index: int, offset: int, kind: np.dtype, count: int, width: int) -> np.ndarray:
         view = self.entries("bufferViews")[index]
         start = view.get("byteOffset", 0) + offset
@@ -127,7 +144,7 @@ def read_gltf(path: Path) -> GltfFile:
                 )
         buffers = []
         for buffer in document.get("buffers", ()):
-            held = _buffer(path, buffer.get("uri"), binary)
+            held = _beside(path, buffer.get("uri"), binary)
             if len(held) < buffer["byteLength"]:
                 raise InputError(f"{path} is cut short: a buffer has {len(held):,} of {buffer['byteLength']:,} bytes.")
             buffers.append(held)
@@ -165,14 +182,14 @@ def _parted(path: Path, content: bytes) -> tuple[Any, bytes]:
     return parse_json(document), binary
 
 
-def _buffer(path: Path, uri: str | None, binary: bytes) -> bytes:
+def _beside(path: Path, uri: str | None, binary: bytes) -> bytes:
     if uri is None:
         return binary
     if uri.startswith("data:"):
         return base64.b64decode(uri.partition(",")[2])
     beside = path.parent / unquote(uri)
     if "://" in uri or not beside.resolve().is_relative_to(path.parent.resolve()):
-        raise InputError(f'{path} has its buffer at "{uri[:80]}", outside of its folder; put it beside the file.')
+        raise InputError(f'{path} needs "{uri[:80]}", outside of its folder; put it beside the file.')
     if not beside.is_file():
         raise InputError(f"{path} needs {beside.name} beside it.")
     return beside.read_bytes()
