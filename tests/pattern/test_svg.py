@@ -56,6 +56,13 @@ def test_drawn_panels_are_sewn(tmp_path: Path):
     assert abs(ends[0] - ends[1])[:2].max() < 0.03
 
 
+def test_paths_in_a_layer_keep_their_names(tmp_path: Path):
+    group = b'<g inkscape:groupmode="layer" id="layer1" inkscape:label="Layer 1">'
+    start = DRAWN_PANELS.index(b"<g")
+    layered = DRAWN_PANELS[:start] + group + DRAWN_PANELS[start:].replace(b"</svg>", b"</g></svg>")
+    assert [panel.name for panel in read_pattern(drawn(tmp_path, layered)).panels] == ["front", "back"]
+
+
 @pytest.mark.parametrize(
     ("panels", "seams", "sentence"),
     [
@@ -67,6 +74,11 @@ def test_drawn_panels_are_sewn(tmp_path: Path):
         (DRAWN_PANELS, DRAWN_SEAMS.replace(b"[0, 0.85, 0.25]", b"[0, 0.85]"), "panel front must be three numbers"),
         (DRAWN_PANELS, DRAWN_SEAMS.replace(b'"front", 0, ', b'"front", '), "seam 0 must be [panel, edge, panel, edge]"),
         (DRAWN_PANELS, DRAWN_SEAMS.replace(b'"front", 0, ', b'"front", 4, '), "edge 4 of front, which has 0 to 3"),
+        (
+            DRAWN_PANELS.replace(b"</svg>", b'<rect id="front" width="9" height="9"/></svg>'),
+            DRAWN_SEAMS,
+            "two paths called",
+        ),
         (DRAWN_PANELS.replace(b"L 0 500 Z", b"L 0 500"), DRAWN_SEAMS, "front is no closed loop"),
         (DRAWN_PANELS.replace(b"A 1200 1200", b"A 1200 900"), DRAWN_SEAMS, "edge 0 is part of an ellipse"),
         (DRAWN_PANELS.replace(b"<path", b"<use"), DRAWN_SEAMS, "draws by reference"),

@@ -12,6 +12,7 @@ rotation = [0, 180, 0]
 from __future__ import annotations
 
 import io
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -58,7 +59,7 @@ def read_drawn(path: str | Path) -> Pattern:
             f'{path} must name its drawing (svg = "FILE.svg"), list its seams (seams = [["front", 1, "back", 1]]) and '
             "have a table [panels.NAME] for each panel."
         )
-    outlines = _outlines(path.parent / record["svg"])
+    outlines = _outlines(path.parent / record["svg"], entries)
     panels = []
     for name, entry in entries.items():
         refuse_unknown("path", [name], tuple(outlines), record["svg"])
@@ -139,8 +140,11 @@ def _reversed(curve: Curve) -> Curve:
     return Curve(curve.controls[::-1], curve.radius, curve.large, not curve.counter_clockwise)
 
 
-def _outlines(path: Path) -> dict[str, list[Any]]:
-    """Segments [user units] of the paths of an SVG by their ids, or the labels that Inkscape shows."""
+def _outlines(path: Path, wanted: Collection[str]) -> dict[str, list[Any]]:
+    """Segments [user units] of the paths of an SVG by their ids, or the labels that Inkscape shows.
+
+    Each of the `wanted` names may be that of one path alone.
+    """
     with extra("svg", "Reading a pattern drawn in an SVG"):
         from svgelements import SVG, Path as Outline, Shape
 
@@ -152,9 +156,14 @@ def _outlines(path: Path) -> dict[str, list[Any]]:
     try:
         drawing = SVG.parse(io.BytesIO(content), reify=True, ppi=96.0)
         shapes = [element for element in drawing.elements() if isinstance(element, Shape) and element.id]
-        return {shape.values.get(_LABEL) or shape.id: list(abs(Outline(shape))) for shape in shapes}
+        # Other values of a shape are those of the layer that it lies in.
+        names = [shape.values["attributes"].get(_LABEL) or shape.id for shape in shapes]
+        outlines = [list(abs(Outline(shape))) for shape in shapes]
     except (ValueError, TypeError, SyntaxError, IndexError, KeyError, AttributeError, ZeroDivisionError) as error:
         raise InputError(f"{path} cannot be read as SVG: {error}.") from None
+    if repeated := next((name for name in wanted if names.count(name) > 1), None):
+        raise InputError(f"{path} has two paths called {repeated}; give each a name of its own.")
+    return dict(zip(names, outlines, strict=True))
 
 
 def _seam(path: Path, number: int, record: Any) -> Seam:
