@@ -34,6 +34,22 @@ def test_every_way_of_writing_a_face(tmp_path):
     np.testing.assert_array_equal(mesh.vertices[2], [1, 1, 0])
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\xef\xbb\xbf" + SQUARE.encode() + b"f 1 2 3 4\n",
+        (SQUARE + "f 1 2 3 4\n").replace("\n", "\r").encode(),
+        b"# made in C:\\work\\\\\r\n" + (SQUARE + "f 1 2 \\\n3 4\n").replace("\n", "\r\n").encode(),
+    ],
+)
+def test_no_line_is_lost_to_a_byte_order_mark_a_comment_or_the_ends_of_lines(tmp_path, content):
+    path = tmp_path / "square.obj"
+    path.write_bytes(content)
+    mesh = read_obj(path)
+    np.testing.assert_array_equal(mesh.vertices, [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    assert [p.tolist() for p in mesh.polygons] == [[0, 1, 2, 3]]
+
+
 def test_faces_without_uvs_leave_those_of_the_others(tmp_path):
     path = tmp_path / "partly.obj"
     path.write_text(SQUARE + "vt 0 0\nvt 1 0\nvt 1 1\nf 1/1 2/2 3/3\nf 1 3 4\n")

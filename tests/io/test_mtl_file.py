@@ -54,7 +54,7 @@ def test_the_image_that_is_read_is_kept(tmp_path: Path, named: bytes, image: str
     ],
 )
 def test_the_library_that_is_read_is_kept(tmp_path: Path, line: bytes, library: str | None) -> None:
-    (tmp_path / (library or "cloth.mtl")).write_bytes(b"newmtl a\nKd 1 0 0\nmap_Kd -clamp on\nmap_Kd\n")
+    (tmp_path / (library or "cloth.mtl")).write_bytes(b"\xef\xbb\xbfnewmtl a\nKd 1 0 0\nmap_Kd -clamp on\nmap_Kd\n")
     obj = tmp_path / "worn.obj"
     obj.write_bytes(CORNERS + line + b"\n" + FACE)
     if library is None:

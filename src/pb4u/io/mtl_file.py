@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import re
 from collections.abc import Iterator
@@ -21,7 +22,7 @@ def text_of(name: bytes) -> str:
 
 
 def joined_lines(obj: Path) -> bytes:
-    """Content of an OBJ file in which continued lines are one.
+    """Content of an OBJ file in which continued lines are one, and all lines end in a line feed.
 
     Args:
         obj: the file.
@@ -29,7 +30,13 @@ def joined_lines(obj: Path) -> bytes:
     Raises:
         OSError: it cannot be read.
     """
-    return obj.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    content = obj.read_bytes().removeprefix(codecs.BOM_UTF8)
+    if b"\r" in content:
+        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if b"\\\n" in content:
+        # A comment may end in the path of a folder.
+        content = re.sub(rb"(?m)^[ \t]*#.*\\$", b"#", content).replace(b"\\\n", b" ")
+    return content
 
 
 def libraries_of(obj: Path) -> list[Path]:
@@ -57,7 +64,7 @@ def statements(mtl: Path) -> Iterator[tuple[str, str]]:
     Raises:
         OSError: it cannot be read.
     """
-    for line in map(text_of, mtl.read_bytes().splitlines()):
+    for line in map(text_of, mtl.read_bytes().removeprefix(codecs.BOM_UTF8).splitlines()):
         keyword, rest = (*line.split(None, 1), "", "")[:2]
         yield keyword, rest.strip()
 

@@ -25,7 +25,7 @@ def read_tables(path: Path, kind: str) -> dict[str, Any]:
         InputError: it is no TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, RecursionError) as error:
         reason = "it is no text" if isinstance(error, UnicodeDecodeError) else error
         raise InputError(f"{path} cannot be read as TOML, which {kind} is: {reason}.") from None
