@@ -182,6 +182,24 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path: Path, monkeypatch: p
     assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("a", "old")]
 
 
+def test_links_permissions_and_pipes_stay(tmp_path: Path, pb4u: Callable) -> None:
+    (tmp_path / "kept").mkdir()
+    file, link, pipe = tmp_path / "kept" / "a.json", tmp_path / "link.json", tmp_path / "pipe"
+    file.write_text("old")
+    file.chmod(0o600)
+    link.symlink_to(file)
+    assert pb4u("info", "--json", link).code == 0
+    assert link.is_symlink()
+    assert file.read_text().startswith("{")
+    assert file.stat().st_mode & 0o777 == 0o600
+    os.mkfifo(pipe)
+    reader = subprocess.Popen(["cat", pipe], stdout=subprocess.PIPE, text=True)
+    assert pb4u("info", "--json", pipe).code == 0
+    assert pipe.is_fifo()
+    assert reader.communicate()[0].startswith("{")
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["a.json", "kept", "link.json", "pipe"]
+
+
 @pytest.mark.parametrize("to_file", [True, False], ids=["streamed", "in memory"])
 def test_an_interrupt_keeps_the_frames_until_then(tmp_path: Path, to_file: bool) -> None:
     scene = make_scene("tshirt", triangles=1000, frames=6, lead_in=2)

@@ -131,10 +131,16 @@ def check_writable(path: Path, flag: str | None = None) -> None:
         raise InputError(f"The folder {path.parent}{named} does not exist; make it first.")
     if path.is_dir():
         raise InputError(f"{path}{named} is a folder; give the name of a file.")
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(f"The folder {path.parent}{named} cannot be written to.")
+    folder = Path(os.path.realpath(path)).parent if path.is_symlink() else path.parent
+    if not _is_special(path) and not os.access(folder, os.W_OK):
+        raise InputError(f"The folder {folder}{named} cannot be written to.")
     if path.exists() and not os.access(path, os.W_OK):
         raise InputError(f"{path}{named} is write-protected; give another name, or take the protection off.")
+
+
+def _is_special(path: Path) -> bool:
+    """Whether it is a device, a pipe or the like, which is written to and never replaced."""
+    return path.exists() and not path.is_file() and not path.is_dir()
 
 
 def move_into_place(written: Path, path: Path) -> None:
@@ -142,26 +148,33 @@ def move_into_place(written: Path, path: Path) -> None:
 
     Args:
         written: path of the file as it was written, on the same disk.
-        path: path that it gets; a file there is replaced.
+        path: path that it gets; a file there is replaced, and its permissions are kept.
 
     Raises:
         OSError: the disk does not take it.
     """
     with open(written, "rb+") as stream:
         os.fsync(stream.fileno())
+    if path.is_file():
+        shutil.copymode(path, written)
     os.replace(written, path)
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file beside its place and move it there.
+    """Write a file beside its place and move it there; a link stays, and what it leads to is written.
 
     Args:
-        path: path of the file.
+        path: path of the file, or of a device or a pipe.
         content: all of its bytes.
 
     Raises:
         OSError: the disk does not take it; nothing is left behind.
     """
+    if _is_special(path):
+        path.write_bytes(content)
+        return
+    if path.is_symlink():
+        path = Path(os.path.realpath(path))
     beside = path.with_name(f".{path.name[:_NAME_KEPT]}.{os.getpid()}{MARK}")
     try:
         beside.write_bytes(content)
