@@ -89,6 +89,18 @@ def test_no_flag_writes_over_what_is_read(files: Path, pb4u: Callable, arguments
     assert {file: file.read_bytes() for file in files.iterdir()} == before
 
 
+@pytest.mark.parametrize("image", ["new.texture1.png", "new.pb4u.mtl"])
+def test_a_mended_garment_takes_no_file_of_the_one_it_is_made_of(files: Path, pb4u: Callable, image: str) -> None:
+    mtl = files / ("my.mtl" if image.endswith(".png") else image)
+    mtl.write_text("newmtl a\nmap_Kd new.texture1.png\n")
+    (files / "new.texture1.png").write_bytes(b"an image")
+    (files / "my.obj").write_text(f"mtllib {mtl.name}\n{(files / 'my.obj').read_text()}")
+    ended = pb4u("check", "my.obj", "--fix", "new.obj")
+    assert ended.code == 1
+    assert f"--fix new.obj would overwrite {image}, which is read" in ended.err
+    assert (files / "new.texture1.png").read_bytes() == b"an image"
+
+
 def test_frames_are_not_written_among_those_that_are_read(files: Path, pb4u: Callable) -> None:
     assert pb4u("convert", "t.npz", "seq.obj").code == 0
     Path("frames").mkdir()

@@ -15,6 +15,7 @@ from pb4u.errors import InputError
 from pb4u.export.registry import is_same_file, would_overwrite, written_files
 from pb4u.io.atomic_file import check_writable, json_text, replace_file
 from pb4u.io.companions import with_companions
+from pb4u.io.mtl_file import is_written_with
 from pb4u.scene_file import named_file
 
 if TYPE_CHECKING:
@@ -165,7 +166,8 @@ def keep_inputs(
     single = [(flag, Path(path)) for flag, path in outputs if path is not None and str(path) != "-"]
     for flag, path, is_export in [*((f, p, False) for f, p in single), *(("--out", p, True) for p in exports)]:
         for file in read:
-            if would_overwrite(path, file) if is_export else is_same_file(path, file):
+            alone = is_same_file(path, file) or (path.suffix.lower() == ".obj" and is_written_with(path, file))
+            if would_overwrite(path, file) if is_export else alone:
                 raise InputError(f"{flag} {path} would overwrite {file}, which is read; give another name.")
         for other, file in written:
             if would_overwrite(path, file) if is_export else is_same_file(path, file):

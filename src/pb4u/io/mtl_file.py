@@ -81,6 +81,17 @@ def image_of(mtl: Path, rest: str) -> Path | None:
     return next((file for tail in tails if (file := _beside(mtl, tail)) is not None), None)
 
 
+def is_written_with(obj: Path, file: Path) -> bool:
+    """Whether a file may be written together with an OBJ file: as its MTL file, or as an image of it.
+
+    Args:
+        obj: the OBJ file.
+        file: another file.
+    """
+    names = re.escape(obj.stem) + r"\.(pb4u\.mtl|texture\d+\.(png|jpg))"
+    return bool(re.fullmatch(names, file.name)) and obj.parent.resolve() == file.parent.resolve()
+
+
 def _beside(file: Path, name: str) -> Path | None:
     """The file that `file` names, perhaps by another machine's path."""
     name = name.replace("\\", "/")
