@@ -144,6 +144,14 @@ def test_a_garment_wholly_inside_is_refused(woman):
         require_worn(garment, woman, FILE, found_support(garment, woman))
 
 
+def test_the_cure_is_for_the_body_that_wears_the_garment():
+    body = load_body("woman", {"weight": 0.9, "height": 0.5})
+    low = tube_garment(low=0.95, high=1.05, radius=0.17)
+    with pytest.warns(InputWarning, match=r"`pb4u check mine\.obj --body-shape weight=0\.9 --fix OUT\.obj`"):
+        require_worn(low, body, "mine.obj", None)
+    assert "--body-shape weight=0.9 --fix" in finding(diagnose(low, body), "penetration").fix
+
+
 def test_a_garment_far_from_the_body_is_refused(woman):
     garment = tube_garment()
     far = replace(garment, vertices=garment.vertices + np.array([3.0, 0.0, 0.0]))

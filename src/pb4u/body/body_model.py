@@ -110,6 +110,7 @@ class BodyModel(ABC):
             weights=self.weights,
             contact=self.contact,
             shape=complete,
+            own_shape={name: v for name, v in complete.items() if v != self.shape_parameters[name][1]},
             pose_offsets=self.pose_offsets,
             lift=float(lift[1]),
         )
@@ -133,6 +134,7 @@ class ShapedBody:
         pose_offsets: optional (vertices, 3, pose features) correctives added before skinning, driven by the local
             rotation matrices minus identity of all bones but the root (SMPL family).
         lift: height [m] by which the model's own origin was raised so that the feet stand on y = 0.
+        own_shape: the shape parameters that are not at their default.
     """
 
     name: str
@@ -145,6 +147,7 @@ class ShapedBody:
     shape: Mapping[str, float] = field(default_factory=dict)
     pose_offsets: np.ndarray | None = None
     lift: float = 0.0
+    own_shape: Mapping[str, float] = field(default_factory=dict)
     _kept: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def kept(self, name: str, make: Callable[[ShapedBody], Kept]) -> Kept:

@@ -112,7 +112,7 @@ def diagnose(
     if body is not None and len(vertices):
         rest = RestBody.of(body)
         fit = find_fit(vertices, rest)
-        mend = fix_command(file, rest.name if body_file is None else body_file)
+        mend = fix_command(file, rest.name if body_file is None else body_file, getattr(body, "own_shape", None))
         findings += placement_findings(vertices, fit, rest, mend)
         findings += crossing_findings(surface, fit.apply(garment.vertices), measures)
         findings += contact_findings(surface, fit, rest, measures, mend)
@@ -146,7 +146,7 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
     """
     rest = RestBody.of(body)
     misfit = float(rest.misfit(garment.vertices))
-    mend = fix_command(file, rest.name)
+    mend = fix_command(file, rest.name, getattr(body, "own_shape", None))
     findings = []
     if misfit > 0.6 * WORST_MISFIT:  # well under it there is nothing to look for
         findings = placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)

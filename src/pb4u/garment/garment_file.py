@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -105,15 +105,20 @@ def nearest_places(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) 
     return hit.triangle.numpy(), hit.barycentric.numpy()
 
 
-def fix_command(file: str | Path = "GARMENT.obj", body: str = DEFAULT_BODY) -> str:
+def fix_command(
+    file: str | Path = "GARMENT.obj", body: str = DEFAULT_BODY, shape: Mapping[str, float] | None = None
+) -> str:
     """The command that mends a garment, for hints.
 
     Args:
         file: the garment's file.
         body: name or file of the body that wears it.
+        shape: its shape parameters that are not at their default, by name.
     """
     is_given = body in body_names() or Path(body).exists()
     worn_by = "" if body == DEFAULT_BODY else f" --body {shlex.quote(body)}" if is_given else " --body BODY"
+    if shape:
+        worn_by += " --body-shape " + ",".join(f"{name}={value:g}" for name, value in shape.items())
     return f"`pb4u check {shlex.quote(str(file))}{worn_by} --fix OUT.obj`"
 
 
