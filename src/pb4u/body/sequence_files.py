@@ -12,8 +12,9 @@ import numpy as np
 
 from pb4u.body.vertex_sequence import DEFAULT_FPS, VertexSequence, refuse_large, require_usable, warn_of_oddities
 from pb4u.errors import InputError, on_disk, warn
-from pb4u.geometry.mesh_file import read_mesh, read_with_trimesh
+from pb4u.geometry.mesh_file import read_mesh
 from pb4u.geometry.obj_file import read_obj_vertices
+from pb4u.geometry.ply_file import read_ply
 from pb4u.geometry.triangulation import triangulate
 from pb4u.io.array_archive import member_names, read_arrays
 from pb4u.io.atomic_file import replace_file
@@ -172,8 +173,8 @@ def _read_frame(path: Path) -> tuple[np.ndarray, bytes]:
     """Vertices (vertices, 3), and what is equal between files with the same faces."""
     if path.suffix.lower() == ".obj":
         return read_obj_vertices(path)
-    mesh = read_with_trimesh(path)
-    return mesh.vertices, np.stack(mesh.polygons).tobytes()
+    mesh = read_ply(path)
+    return mesh.vertices, np.concatenate([[len(polygon) for polygon in mesh.polygons], *mesh.polygons]).tobytes()
 
 
 def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray, float | None, np.ndarray | None]:

@@ -15,12 +15,15 @@ from pb4u.geometry.appearance import Appearances
 from pb4u.geometry.topology import joined_indices, offsets
 from pb4u.io.reading_limits import refusing
 
-_TRIMESH = "pb4u.geometry.mesh_file:read_with_trimesh"
 _GLTF = "pb4u.geometry.gltf_mesh_file:read_gltf_mesh"
 READERS = {
     ".obj": "pb4u.geometry.obj_file:read_obj",
-    ".ply": _TRIMESH, ".stl": _TRIMESH, ".glb": _GLTF, ".gltf": _GLTF, ".off": _TRIMESH,
-}  # fmt: skip
+    ".ply": "pb4u.geometry.ply_file:read_ply",
+    ".stl": "pb4u.geometry.mesh_file:read_stl",
+    ".off": "pb4u.geometry.mesh_file:read_off",
+    ".glb": _GLTF,
+    ".gltf": _GLTF,
+}
 """Suffix -> function of a path that gives its `PolygonMesh`; another format is one more line here."""
 
 MOST_READ = 4_000_000
@@ -64,13 +67,11 @@ def read_mesh(path: Path, refuse_large: Callable[[int], None]) -> PolygonMesh:
     return mesh
 
 
-def read_with_trimesh(path: Path) -> PolygonMesh:
-    """The triangles of a file in any format that trimesh reads.
-
-    Corners in the same place are one vertex in STL, which has no connectivity.
+def read_stl(path: Path) -> PolygonMesh:
+    """The triangles of an STL file; corners in the same place are one vertex, as the format has no connectivity.
 
     Args:
-        path: the file; its suffix says the format.
+        path: the file.
 
     Raises:
         InputError: it cannot be read as a mesh, has no faces, or numbers in it cannot be used.
@@ -87,14 +88,39 @@ def read_with_trimesh(path: Path) -> PolygonMesh:
     starts = offsets([part.vertices for part in parts])
     faces = joined_indices([part.faces for part in parts], starts).astype(np.int64)
     require_sound(path, vertices, faces)
-    corners = faces
-    if path.suffix.lower() == ".stl":
-        vertices, faces = welded(vertices, faces)
-    known = [getattr(part.visual, "uv", None) for part in parts]
-    if all(uvs is None or len(uvs) != len(part.vertices) for uvs, part in zip(known, parts, strict=True)):
-        return PolygonMesh(vertices, tuple(faces))
-    uvs = [np.zeros((len(part.vertices), 2)) if uv is None else uv for uv, part in zip(known, parts, strict=True)]
-    return PolygonMesh(vertices, tuple(faces), np.concatenate(uvs).astype(np.float64), tuple(corners))
+    vertices, faces = welded(vertices, faces)
+    return PolygonMesh(vertices, tuple(faces))
+
+
+def read_off(path: Path) -> PolygonMesh:
+    """The mesh of an OFF file; colours and normals in it are left out.
+
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: it cannot be read as a mesh, has no faces, or numbers in it cannot be used.
+    """
+    with refusing(path, "cannot be read as a mesh"):
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
+        (keyword, *counts), *lines = [words for line in text.splitlines() if (words := line.split("#", 1)[0].split())]
+        if keyword not in ("OFF", "COFF", "NOFF", "CNOFF", "STOFF", "STCOFF"):
+            raise ValueError(f'it begins with "{keyword[:20]}", not with OFF')
+        count, face_count = map(int, (counts or lines.pop(0))[:2])
+        if min(count, face_count) < 0 or len(lines) < count + face_count:
+            raise ValueError("it is cut short")
+        if not face_count:
+            raise InputError(f"{path} has no faces: export it as a polygon mesh.")
+        vertices = np.array([words[:3] for words in lines[:count]], dtype=np.float64).reshape(count, 3)
+        polygons = []
+        for k, words in enumerate(lines[count : count + face_count]):
+            polygons.append(np.array(words[1 : int(words[0]) + 1], dtype=np.int64))
+            if int(words[0]) < 3 or len(polygons[-1]) != int(words[0]):
+                raise InputError(
+                    f"{path}: face {k} has {len(polygons[-1])} corners of {words[0]}; a face needs 3 or more."
+                )
+        require_sound(path, vertices, np.concatenate(polygons))
+    return PolygonMesh(vertices, tuple(polygons))
 
 
 def require_sound(path: Path, vertices: np.ndarray, corners: np.ndarray) -> None:
