@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import re
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from tests.pattern.patterns import gathered, record, square
 from pb4u.errors import InputError
 from pb4u.pattern.files import read_pattern
 from pb4u.pattern.garmentcode import pattern_of, record_of
-from pb4u.pattern.pattern import Curve, Panel, Pattern, Seam, signed_area
+from pb4u.pattern.pattern import Curve, Panel, Pattern, Seam, first_crossing, signed_area
 
 
 def test_a_specification_is_read_to_scale_and_in_place():
@@ -109,6 +110,19 @@ CROSSED = [[0, 0], [40, 40], [40, 0], [0, 40]]
 def test_what_cannot_be_sewn_is_refused_in_one_sentence(specification: dict, sentence: str):
     with pytest.raises(InputError, match=re.escape(sentence)):
         pattern_of(specification, "shirt")
+
+
+def test_crossings_of_long_outlines_are_found_in_little_memory():
+    angle = np.linspace(0.0, 2.0 * np.pi, 2000, endpoint=False)
+    loop = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    tracemalloc.start()
+    try:
+        assert first_crossing(loop) is None
+        loop[[1500, 1503]] = loop[[1503, 1500]]
+        assert first_crossing(loop) == (1499, 1503)
+        assert tracemalloc.get_traced_memory()[1] < 2e7
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_curve_that_crosses_another_edge_is_refused():

@@ -23,6 +23,9 @@ _SAMPLES = 1025
 _CHECKED = 16
 """Chords by which a curved edge is checked for crossings."""
 
+_BLOCK = 64
+"""Chords that are compared with all others at once, which bounds memory."""
+
 # Extent [m] of a pattern between which its unit may be the metre after scaling.
 _SMALLEST, _LARGEST = 0.05, 10.0
 
@@ -209,22 +212,26 @@ def first_crossing(loop: np.ndarray) -> tuple[int, int] | None:
         loop: (n, 2).
     """
     following = np.roll(loop, -1, axis=0)
-    count = len(loop)
+    places = np.arange(len(loop))
 
     def side(a: np.ndarray, b: np.ndarray, p: np.ndarray) -> np.ndarray:
         return (b[:, None, 0] - a[:, None, 0]) * (p[None, :, 1] - a[:, None, 1]) - (b[:, None, 1] - a[:, None, 1]) * (
             p[None, :, 0] - a[:, None, 0]
         )
 
-    start_side, end_side = side(loop, following, loop), side(loop, following, following)
-    across = start_side * end_side < 0.0
-    meets = across & across.T
-    apart = np.abs(np.arange(count)[:, None] - np.arange(count)[None, :])
-    meets &= (apart > 1) & (apart < count - 1)
-    if not meets.any():
-        return None
-    first, second = np.argwhere(meets)[0].tolist()
-    return first, second
+    def across(lines: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """Whether the ends of a segment lie on both sides of a line."""
+        one, other = loop[lines], following[lines]
+        return side(one, other, loop[ends]) * side(one, other, following[ends]) < 0.0
+
+    for start in range(0, len(loop), _BLOCK):
+        rows = places[start : start + _BLOCK]
+        apart = np.abs(rows[:, None] - places)
+        meets = across(rows, places) & across(places, rows).T & (apart > 1) & (apart < len(loop) - 1)
+        if meets.any():
+            first, second = np.argwhere(meets)[0].tolist()
+            return start + first, second
+    return None
 
 
 @dataclass(frozen=True)
