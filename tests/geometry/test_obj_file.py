@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from cloth_shapes import quad_tube
 
-from pb4u.errors import InputError
+from pb4u.errors import InputError, InputWarning
 from pb4u.geometry.obj_file import read_obj, write_obj
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -56,6 +56,14 @@ def test_faces_without_uvs_leave_those_of_the_others(tmp_path):
     mesh = read_obj(path)
     assert [corners.tolist() for corners in mesh.polygon_uvs] == [[0, 1, 2], [3, 3, 3]]
     np.testing.assert_array_equal(mesh.uvs[3], [0, 0])
+
+
+def test_uvs_that_are_no_numbers_leave_the_garment(tmp_path):
+    path = tmp_path / "odd.obj"
+    path.write_text(SQUARE + "vt 0 1\nvt nan nan\nvt 1 1\nf 1/1 2/2 3/3\n")
+    with pytest.warns(InputWarning, match=r"1 texture coordinate line\(s\) hold NaN .*line 6.*zero is taken"):
+        mesh = read_obj(path)
+    np.testing.assert_array_equal(mesh.uvs, [[0, 1], [0, 0], [1, 1]])
 
 
 def test_materials_are_told_apart_by_names_in_any_code_and_of_any_sort(tmp_path):

@@ -49,6 +49,9 @@ def test_the_image_that_is_read_is_kept(tmp_path: Path, named: bytes, image: str
         (rb"mtllib C:\work\cloth.mtl", "cloth.mtl"),
         ("mtllib Stück.mtl".encode("latin-1"), "Stück.mtl"),
         (b"mtllib cloth.mtl\nmtllib cloth.mtl\nmtllib " + b"x" * 300 + b"\nmtllib  ", "cloth.mtl"),
+        (rb"mtllib .\cloth.mtl", "cloth.mtl"),
+        (b'mtllib "the cloth.mtl"', "the cloth.mtl"),
+        (b"mtllib other.mtl cloth.mtl", "cloth.mtl"),
         (b"# mtllib cloth.mtl", None),
         (b"mtllib none.mtl", None),
     ],
@@ -63,3 +66,19 @@ def test_the_library_that_is_read_is_kept(tmp_path: Path, line: bytes, library: 
         with pytest.warns(match="the image .*is missing"):
             assert read_obj(obj).appearances is not None
     assert with_companions(obj) == [obj, *([] if library is None else [tmp_path / library])]
+
+
+def test_several_libraries_of_one_line_are_read_and_missing_ones_are_told_of(tmp_path: Path) -> None:
+    (tmp_path / "a.mtl").write_text("newmtl a\nKd 1 0 0\n")
+    (tmp_path / "b.mtl").write_text("newmtl b\nKd 0.5\nnewmtl c\nKd spectral x.rfl\n")
+    obj = tmp_path / "worn.obj"
+    faces = b"usemtl b\nf 1 2 3\nusemtl c\nf 1 2 3\n"
+    obj.write_bytes(CORNERS + b"mtllib a.mtl b.mtl\nmtllib none at all.mtl\n" + FACE + faces)
+    with pytest.warns() as told:
+        looks = read_obj(obj).appearances
+    assert [str(each.message) for each in told] == [
+        "b.mtl: the colour Kd spectral x.rfl is not three numbers; it is left out.",
+        "worn.obj: the MTL file none at all.mtl is missing; put it beside the file to see its colours.",
+    ]
+    assert looks is not None
+    assert [each.colour for each in looks.listed] == [(1, 0, 0), (0.5, 0.5, 0.5), (0.8, 0.8, 0.8)]

@@ -169,13 +169,10 @@ def _as_png(image: Image.Image) -> bytes:
 
 
 def read_mtl(path: Path) -> dict[str, Appearance]:
-    """The appearances of an MTL file by name: Kd, or map_Kd alone where there is one; warns of missing images.
+    """The appearances of an MTL file by name: Kd, or map_Kd alone where there is one; warns of what cannot be read.
 
     Args:
         path: the file.
-
-    Raises:
-        InputError: a colour is none.
     """
     found: dict[str, Appearance] = {}
     current = Appearance("")
@@ -183,11 +180,7 @@ def read_mtl(path: Path) -> dict[str, Appearance]:
         if kind == "newmtl":
             current = Appearance(rest, (0.8, 0.8, 0.8))
         elif kind == "Kd" and current.image is None:
-            try:
-                red, green, blue = (min(max(float(channel), 0.0), 1.0) for channel in rest.split()[:3])
-            except ValueError:
-                raise InputError(f"{path}: the colour Kd {rest[:60]} is not three numbers; export it again.") from None
-            current = replace(current, colour=(red, green, blue))
+            current = _with_colour(current, path, rest)
         elif kind == "map_Kd":
             current = _with_image(current, path, rest)
         if current.name:
@@ -222,6 +215,19 @@ def image_suffix(image: bytes) -> str:
         image: content of the file.
     """
     return ".png" if image.startswith(b"\x89PNG") else ".jpg"
+
+
+def _with_colour(appearance: Appearance, mtl: Path, rest: str) -> Appearance:
+    """With the colour of a Kd, of which one number is a grey, or as it was, with a warning."""
+    try:
+        channels = np.array(rest.split()[:3], dtype=np.float64)
+        red, green, blue = np.clip(np.broadcast_to(channels, 3), 0.0, 1.0).tolist()
+    except ValueError:
+        red = green = blue = np.nan
+    if not np.isfinite([red, green, blue]).all():
+        warn(f"{mtl.name}: the colour Kd {rest[:60]} is not three numbers; it is left out.")
+        return appearance
+    return replace(appearance, colour=(red, green, blue))
 
 
 def _with_image(appearance: Appearance, mtl: Path, rest: str) -> Appearance:

@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pb4u.errors import InputError, on_disk
+from pb4u.errors import InputError, on_disk, warn
 from pb4u.geometry.appearance import Appearance, Appearances, read_mtl, write_mtl
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.io.atomic_file import replace_file
-from pb4u.io.mtl_file import joined_lines, libraries_of, text_of
+from pb4u.io.mtl_file import joined_lines, named_libraries, text_of
 
 _LARGEST = 1e9
 """Coordinates beyond which products of areas lose all digits; no unit of length makes a garment so large."""
@@ -72,8 +72,11 @@ def read_obj(path: Path) -> PolygonMesh:
 def _appearances(path: Path, count: int, used: list[tuple[int, str]], laid_on: bool) -> Appearances | None:
     """Appearances of `count` faces; `used` names the material that begins at a face; images need `laid_on`."""
     known: dict[str, Appearance] = {}
-    for library in libraries_of(path):
-        known |= read_mtl(library)
+    for name, library in named_libraries(path):
+        if library is not None:
+            known |= read_mtl(library)
+        elif len(used) > 1:
+            warn(f"{path.name}: the MTL file {name[:60]} is missing; put it beside the file to see its colours.")
     listed = [known[name] for name in dict.fromkeys(name for _, name in used) if name in known]
     if not listed:
         return None
@@ -130,10 +133,14 @@ def _table(path: Path, lines: Lines, width: int, what: str) -> np.ndarray:
         raise InputError(f"{path} line {number}: a {what} needs {width} numbers; mend or export it again.") from None
     bad = np.flatnonzero(~(np.abs(table) <= _LARGEST).all(axis=1))
     if len(bad):
-        raise InputError(
-            f"{path}: {len(bad)} {what} line(s) hold NaN or infinite numbers, or such above {_LARGEST:g}, first at "
-            f"line {lines[bad[0]][0]} ({what} {bad[0] + 1}); delete or mend them and export again."
+        told = (
+            f"{len(bad)} {what} line(s) hold NaN or infinite numbers, or such above {_LARGEST:g}, first at "
+            f"line {lines[bad[0]][0]} ({what} {bad[0] + 1})"
         )
+        if width == 3:
+            raise InputError(f"{path}: {told}; delete or mend them and export again.")
+        warn(f"{path.name}: {told}; zero is taken for them.")
+        table[bad] = 0.0
     return table
 
 

@@ -39,8 +39,8 @@ def joined_lines(obj: Path) -> bytes:
     return content
 
 
-def libraries_of(obj: Path) -> list[Path]:
-    """The MTL files that an OBJ file names, each once, of those that are there.
+def named_libraries(obj: Path) -> list[tuple[str, Path | None]]:
+    """The MTL files that an OBJ file names, each once: the name, and the file where it is there.
 
     Args:
         obj: the file.
@@ -51,8 +51,24 @@ def libraries_of(obj: Path) -> list[Path]:
     text = joined_lines(obj)
     # Much quicker than a look at every line; what stands before it on its line shows that it begins one.
     found = [(text[text.rfind(b"\n", 0, m.start()) + 1 : m.start()], m[1]) for m in re.finditer(rb"mtllib(.*)", text)]
-    files = [_beside(obj, text_of(name.strip())) for before, name in found if not before.strip()]
-    return list(dict.fromkeys(file for file in files if file is not None))
+    named = list[tuple[str, Path | None]]()
+    for rest in (text_of(name.strip()) for before, name in found if name.strip() and not before.strip()):
+        # A name may hold blanks, and a line several names.
+        files = [(name, _beside(obj, name)) for name in ([rest] if _beside(obj, rest) else rest.split())]
+        named += files if any(file for _, file in files) else [(rest, None)]
+    return list(dict.fromkeys(named))
+
+
+def libraries_of(obj: Path) -> list[Path]:
+    """The MTL files that an OBJ file names, each once, of those that are there.
+
+    Args:
+        obj: the file.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    return list(dict.fromkeys(file for _, file in named_libraries(obj) if file is not None))
 
 
 def statements(mtl: Path) -> Iterator[tuple[str, str]]:
@@ -94,6 +110,6 @@ def is_written_with(obj: Path, file: Path) -> bool:
 
 def _beside(file: Path, name: str) -> Path | None:
     """The file that `file` names, perhaps by another machine's path."""
-    name = name.replace("\\", "/")
+    name = name.strip('"').replace("\\", "/")
     # Unlike `is_file` this takes a name of any length.
     return next((beside for n in (name, Path(name).name) if os.path.isfile(beside := file.parent / n)), None)
