@@ -173,6 +173,18 @@ def test_what_stays_after_a_mend_is_said_and_ends_with_1(pb4u: Callable, tmp_pat
     assert not (tmp_path / "m.obj").exists()
 
 
+def test_what_a_mended_file_is_without_is_said(pb4u: Callable, tmp_path: Path) -> None:
+    file = saved(tmp_path, triangle_tube(low=0.6, high=1.0, radius=0.22))
+    plain = pb4u("check", file, "--fix", tmp_path / "m.obj", "--json", "-")
+    assert json.loads(plain.out)["garment"]["left"] == []
+    named = "o Skirt\ng front\nusemtl silk\n" + file.read_text().replace("\n", " 1 0 0\n", 1)
+    file.write_text(named)
+    ended = pb4u("check", file, "--fix", tmp_path / "m.obj", "--json", "-")
+    assert json.loads(ended.out)["garment"]["left"] == [
+        "Its groups, object names, vertex colours, materials without an MTL are not in the mended file."
+    ]
+
+
 @pytest.mark.parametrize("flags", [(), ("--fix", "m.obj")], ids=["looked at", "mended"])
 def test_a_garment_without_area_is_refused(
     pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flags: tuple[str, ...]

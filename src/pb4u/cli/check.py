@@ -193,7 +193,7 @@ def _check_garment(name: str, figure: Any, body: str, triangles: int | None, fix
     from pb4u.garment.garment_file import read_source
     from pb4u.garment.library import garment_names
     from pb4u.garment.repair import repair
-    from pb4u.geometry.obj_file import write_obj
+    from pb4u.geometry.obj_file import left_out, write_obj
 
     unmended: dict[str, Any] = {"mended": [], "left": [], "remaining": None}
     made = _made(name, figure, triangles)
@@ -205,6 +205,8 @@ def _check_garment(name: str, figure: Any, body: str, triangles: int | None, fix
     found = {"name": name, **diagnose(source, figure, name, body).to_json(), **unmended}
     if fix is not None:
         mended, changes, left = repair(source, figure)
+        if lost := left_out(Path(name), source) if Path(name).suffix.lower() == ".obj" else []:
+            left = (*left, f"Its {', '.join(lost)} are not in the mended file.")
         remaining = diagnose(mended, figure, fix, body)
         # A file of this name is taken for a garment that can be worn.
         if not remaining.is_refused:

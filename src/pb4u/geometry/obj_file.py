@@ -7,6 +7,7 @@ give the author's mesh back; what is needed of OBJ (v, vt, f) is read here.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -103,6 +104,24 @@ def read_obj_vertices(path: Path) -> tuple[np.ndarray, bytes]:
     content = _content(path)
     digest = hashlib.sha256(b"\n".join(line for _, line, _, _ in content.faces)).digest()
     return _table(path, content.vertices, 3, "vertex"), digest
+
+
+def left_out(path: Path, mesh: PolygonMesh) -> list[str]:
+    """What an OBJ file holds that its mesh does not: groups, object names, vertex colours, materials without an MTL.
+
+    Args:
+        path: the file.
+        mesh: what was read of it.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    text = joined_lines(path)
+    lines = {"groups": rb"g[ \t]+\S", "object names": rb"o[ \t]+\S", "vertex colours": rb"v([ \t]+[^\s#]+){6}"}
+    found = [what for what, line in lines.items() if re.search(rb"(?m)^[ \t]*" + line, text)]
+    used = {text_of(name.strip()) for name in re.findall(rb"(?m)^[ \t]*usemtl[ \t](.*)", text)}
+    known = set() if mesh.appearances is None else {each.name for each in mesh.appearances.listed}
+    return found + (["materials without an MTL"] if used - known - {"", "none"} else [])
 
 
 def _content(path: Path) -> _Content:
