@@ -115,11 +115,20 @@ def test_a_pattern_is_dressed_once_for_a_body(dressed, body, tmp_path, cache, mo
     assert (again.vertices == first.vertices).all()
 
 
+def _chain(vertices: np.ndarray) -> list[tuple[int, int]]:
+    return list(zip(vertices[:-1].tolist(), vertices[1:].tolist(), strict=True))
+
+
 def test_meshes_and_pictures_are_written(dressed, body, tmp_path):
     for name in ("skirt.obj", "skirt.svg", "skirt.png"):
         write_worn(tmp_path / name, dressed, body)
         assert (tmp_path / name).stat().st_size > 1000
-    assert (tmp_path / "skirt.obj").read_text().count("\nvt ") == len(dressed.mesh.points)
+    text = (tmp_path / "skirt.obj").read_text()
+    assert text.count("\nvt ") == len(dressed.mesh.points)
+    lines = {tuple(int(k) - 1 for k in line.split()[1:]) for line in text.splitlines() if line.startswith("l ")}
+    sewn = {tuple(sorted(edge)) for side, _ in dressed.mesh.sides for edge in _chain(dressed.mesh.vertex[side])}
+    assert lines == sewn
+    assert "\ng seams\n" in text
     with pytest.raises(InputError, match=r"written as .npz, .obj, .json, .svg or .png"):
         write_worn(tmp_path / "skirt.fbx", dressed, body)
 

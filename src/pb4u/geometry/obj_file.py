@@ -211,7 +211,7 @@ def _shown(text: bytes) -> str:
     return f'"{text.strip()[:60].decode("utf-8", "replace")}"'
 
 
-def write_obj(path: Path, mesh: PolygonMesh, groups: Sequence[str] = ()) -> None:
+def write_obj(path: Path, mesh: PolygonMesh, groups: Sequence[str] = (), seams: np.ndarray | None = None) -> None:
     """Write a mesh in one step: the file appears whole or not at all.
 
     Its colours and images lie beside it, as NAME.pb4u.mtl and NAME.texture0.png.
@@ -220,6 +220,7 @@ def write_obj(path: Path, mesh: PolygonMesh, groups: Sequence[str] = ()) -> None
         path: the file.
         mesh: what is written, numbers to nine digits.
         groups: group of each polygon, or none.
+        seams: (edges, 2) int64 vertices of edges that are written as lines of the group `seams`.
 
     Raises:
         InputError: the file cannot be written.
@@ -246,6 +247,8 @@ def write_obj(path: Path, mesh: PolygonMesh, groups: Sequence[str] = ()) -> None
             f"{name}f " + " ".join(str(v + 1) for v in polygon.tolist()) + "\n"
             for name, polygon in zip(names, mesh.polygons, strict=True)
         ]
+    if seams is not None:
+        parts += ["g seams\n", *(f"l {a} {b}\n" for a, b in (seams + 1).tolist())]
     with on_disk(f"{path} cannot be written"):
         if looks is not None:
             write_mtl(mtl, looks.listed)

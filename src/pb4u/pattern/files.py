@@ -14,6 +14,7 @@ import numpy as np
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, warn
+from pb4u.export.panels import seam_edges
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.garment.weight_cache import cache_folder
@@ -214,7 +215,8 @@ def write_worn(path: Path, dressed: Dressed, body: ShapedBody) -> None:
         write_dressed(path, dressed, body)
     elif kind == ".obj":
         mesh = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, tuple(dressed.mesh.faces))
-        write_obj(path, mesh, [group_name(garment.panels[k]) for k in dressed.mesh.face_panel])
+        groups = [group_name(garment.panels[k]) for k in dressed.mesh.face_panel]
+        write_obj(path, mesh, groups, seam_edges(garment.faces, dressed.mesh.faces))
     elif kind == ".json":
         replace_file(path, json_text(record_of(dressed.mesh.pattern), indent=1).encode())
     elif kind in (".svg", ".png"):
