@@ -68,6 +68,29 @@ def test_a_file_counts_by_its_content_and_not_by_its_place(tmp_path: Path) -> No
     assert on("here", "one") != on("there", "two")
 
 
+@pytest.mark.parametrize(
+    ("entry", "file", "named"),
+    [
+        ("garment", "g.pkl", (":tshirt", ":dress", ":dress/level2", ":dress@73", ":dress@74")),
+        ("motion", "wham.pkl", ("", ":0", ":1")),
+    ],
+)
+def test_what_a_file_holds_counts_beside_its_content(
+    entry: str, file: str, named: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Garments, levels, centres and persons of one file are other work; the place of the file is not."""
+
+    def on(folder: str, name: str) -> str:
+        path = tmp_path / folder / file
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("one")
+        return JobPlanner().job(RUN.with_entries({entry: f"{path}{name}"})).key
+
+    keys = [on("here", name) for name in named]
+    assert len(set(keys)) == len(named)
+    assert keys == [on("there", name) for name in named]
+
+
 def test_a_job_names_itself_in_plain_words() -> None:
     job = RunJob(replace(RUN, propagation_steps=5), "best")
     assert str(job) == "tshirt in default on woman, walk, seed 2000, 400 triangles, by best, K 5"

@@ -70,7 +70,9 @@ class RunJob:
         """Address of the result: the same for the same work, another for any other."""
         files: dict[str, list[str]] = {}
         for value, file, content in self.contents:
-            files.setdefault(value, []).append(f"{Path(file).name} {content}")
+            # Of the value, what is beyond its own file is kept: a garment, level or person in it.
+            entry = "" if value in files else _entry(value, file)
+            files.setdefault(value, []).append(f"{Path(file).name}{entry} {content}")
         identity = {
             "version": FOLDER_VERSION,
             "pb4u": __version__,
@@ -333,6 +335,11 @@ def _worst_frame(result: dict[str, Any], frames: int) -> int:
     if result["slid_at"] is not None:
         values = result["hold_shift"]["per_frame"]
     return max(range(len(values)), key=values.__getitem__)
+
+
+def _entry(value: str, file: str) -> str:
+    """What a value names within its file, such as ":tshirt" or ":3"; "" where it is the file alone."""
+    return Path(value).as_posix().removeprefix(Path(file).as_posix())
 
 
 def _plain(specification: object, files: Mapping[str, list[str]]) -> Any:
