@@ -50,6 +50,16 @@ def test_a_training_leaves_weights_a_curve_and_a_way_to_go_on(pb4u: Call, pack: 
     assert "Trained 8 steps." in further.out
 
 
+def test_a_flat_training_goes_on_with_a_larger_budget(pb4u: Call, pack: Path, tmp_path: Path) -> None:
+    run, flat = tmp_path / "run", ("--set", "curriculum.learning_rate=1e-12", "--set", "patience=1")
+    begun = ("--pack", pack, "--preset", "smoke", "--steps", 60, "--out", run, *QUICK, *flat)
+    ended = json.loads(pb4u("train", *begun, "--set", "validate_every=2", "--json", "-").out)
+    assert ended["ending"] == "flat"
+    assert "with more --steps or --minutes goes on" in ended["sentence"]
+    further = json.loads(pb4u("train", "--resume", run, "--steps", 90, "--device", "cpu", "--json", "-").out)
+    assert further["steps"] > ended["steps"]
+
+
 def test_a_training_begins_with_given_weights_and_says_so(pb4u: Call, pack: Path, tmp_path: Path) -> None:
     first, second = tmp_path / "first", tmp_path / "second"
     assert pb4u("train", "--pack", pack, "--preset", "smoke", "--steps", 6, "--out", first, *QUICK).code == 0

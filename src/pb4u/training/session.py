@@ -68,6 +68,9 @@ def train(request: TrainingRequest) -> dict[str, Any]:
         with folder.held() if mine.leads else contextlib.nullcontext(), reporter() as told, stop_signals() as stopping:
             trainer = Trainer(configuration, budget, data, mine, folder, told if mine.leads else _Silent(), stopping)
             _restore(trainer, folder)
+            if begun is None and (request.steps is not None or request.minutes is not None):
+                # A new budget has a schedule of its own, on which the validation may improve again.
+                trainer.counters.flat = 0
             ending = trainer.run()
         if mine.leads:
             with contextlib.suppress(OSError):
@@ -215,7 +218,8 @@ def _summary(trainer: Trainer, folder: RunFolder, ending: str) -> dict[str, Any]
     counters = trainer.counters
     sentences = {
         "finished": f"Trained {counters.step} steps.",
-        "flat": f"Stopped at step {counters.step}: {counters.flat} validations in a row brought nothing better.",
+        "flat": f"Stopped at step {counters.step}: {counters.flat} validations in a row brought nothing better; "
+        f"--resume {folder.path} with more --steps or --minutes goes on.",
         "stopped": f"Stopped at step {counters.step}; go on with --resume {folder.path}.",
     }
     return {
