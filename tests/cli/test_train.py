@@ -16,9 +16,10 @@ from tests.training.ball_data import TINY, ball_data
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.paper.network_presets import PRESETS
 from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
-from pb4u.training.configuration import training_to_json
+from pb4u.training.configuration import training_to_json, with_settings
 from pb4u.training.packed_data import load_training_data, save_training_data
 from pb4u.training.run_folder import RunFolder
+from pb4u.training.session import _licence
 
 Call = Callable[..., Any]
 QUICK = (
@@ -74,7 +75,7 @@ def test_a_training_begins_with_given_weights_and_says_so(pb4u: Call, pack: Path
     assert after.configuration == before.configuration
     for (name, a), b in zip(before.model.state_dict().items(), after.model.state_dict().values(), strict=True):
         assert torch.allclose(a, b, rtol=0.0, atol=1e-9), name
-    assert after.licence == "CC-BY-4.0"
+    assert after.licence == "unknown: ask whoever trained it; it began with weights under CC-BY-4.0"
     assert after.record.optimiser_steps == 8
     assert after.record.details["before"]["optimiser_steps"] == 6
     # What it began with is needed no more.
@@ -82,6 +83,37 @@ def test_a_training_begins_with_given_weights_and_says_so(pb4u: Call, pack: Path
     further = pb4u("train", "--resume", second, "--steps", 3, "--device", "cpu")
     assert further.code == 0, further.err
     assert load_checkpoint(second / "final.safetensors").record.optimiser_steps == 9
+
+
+def test_weights_of_ones_own_data_have_no_licence_of_ours_and_say_what_they_learnt(
+    pb4u: Call, pack: Path, tmp_path: Path
+) -> None:
+    own, ours = tmp_path / "own", tmp_path / "ours"
+    for run, given in ((own, ("--pack", pack)), (ours, ())):
+        ended = pb4u("train", *given, "--preset", "smoke", "--steps", 2, "--out", run, *QUICK)
+        assert ended.code == 0, ended.err
+    trained = load_checkpoint(own / "final.safetensors")
+    assert trained.licence == "unknown: ask whoever trained it"
+    assert trained.record.details["garments"] == ["sheet"]
+    assert trained.record.details["motions"] == ["slide-0.3", "slide-0.4", "slide-0.6"]
+    assert load_checkpoint(ours / "final.safetensors").licence == "Apache-2.0"
+    assert "unknown: ask whoever trained it" in pb4u("info", "--model", own / "final.safetensors").out
+
+
+@pytest.mark.parametrize(
+    ("data", "garment", "begun", "licence"),
+    [
+        ("built in", "tshirt", None, "Apache-2.0"),
+        ("built in", "tshirt", "CC-BY-4.0", "CC-BY-4.0"),
+        ("built in", "my_shirt.obj", "Apache-2.0", "unknown: ask whoever trained it"),
+        ("given", "tshirt", "unknown: ask the author", "unknown: ask the author"),
+    ],
+)
+def test_the_licence_is_of_the_weights_begun_with_unless_own_data_are_learnt(
+    data: str, garment: str, begun: str | None, licence: str
+) -> None:
+    record = {"data": data, "origin": None if begun is None else {"licence": begun}}
+    assert _licence(record, with_settings(TINY, [f"data.garments={garment}"])) == licence
 
 
 def test_weights_go_on_under_another_law_of_k_and_scaling(pb4u: Call, pack: Path, tmp_path: Path) -> None:

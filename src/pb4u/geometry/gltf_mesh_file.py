@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from pb4u.errors import InputError, warn
 from pb4u.geometry.appearance import Appearance, Appearances, sound_image
 from pb4u.geometry.mesh_file import PolygonMesh, require_sound, welded
+from pb4u.geometry.topology import joined_indices, offsets
 from pb4u.io.gltf_file import GltfFile, read_gltf
 from pb4u.io.reading_limits import refusing
 
@@ -49,9 +50,9 @@ def read_gltf_mesh(path: Path) -> PolygonMesh:
         ]
         if not sum(len(part.faces) for part in parts):
             raise InputError(f"{path} has no faces: export it as a polygon mesh.")
-        starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+        starts = offsets([part.vertices for part in parts])
         vertices = np.concatenate([part.vertices for part in parts])
-        corners = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)])
+        corners = joined_indices([part.faces for part in parts], starts)
         require_sound(path, vertices, corners)
         vertices, faces = welded(vertices, corners)
         laid_on = any(part.uvs is not None for part in parts)

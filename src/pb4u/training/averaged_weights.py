@@ -22,6 +22,8 @@ from pb4u.training.validation import Score, Validation
 
 IMPROVEMENT = 0.005
 """Share of the energy by which a score must be better to count: less is the noise of a validation."""
+FREE_LICENCE = "Apache-2.0"
+"""Licence of weights that are made from assets of this package alone."""
 
 
 class AveragedWeights:
@@ -54,8 +56,7 @@ class AveragedWeights:
         self.configuration, self.data, self.learner, self.validation = configuration, data, learner, validation
         self.workers, self.folder, self.journal = workers, folder, journal
         self.origin: TrainingRecord | None = None
-        # Of what is made from free assets alone; weights that go on from others keep theirs.
-        self.licence = "Apache-2.0"
+        self.licence = FREE_LICENCE
 
     def seconds_to_validate(self) -> float:
         """Time [s] that a validation at the end takes; what it compares with is made before."""

@@ -17,6 +17,7 @@ from pb4u.network.acceleration_model import NetworkConfiguration
 from pb4u.network.propagation_control import FixedSteps
 from pb4u.progress import announced
 from pb4u.simulation.checkpoint import built_in_models, from_pretrained, training_record_from_json
+from pb4u.training.averaged_weights import FREE_LICENCE
 from pb4u.training.budget import Budget
 from pb4u.training.configuration import (
     TrainingConfiguration,
@@ -38,6 +39,8 @@ WITHOUT_WEIGHTS = frozenset({"control", "scaling", "passes", "conjugate", "furth
 """Fields of a network that its weights do not hang on."""
 BUILT_IN = "built in"
 """Origin of the data of a run whose configuration alone makes them again."""
+UNKNOWN_LICENCE = "unknown: ask whoever trained it"
+"""Licence of weights that were trained on data of the user's."""
 
 
 def train(request: TrainingRequest) -> dict[str, Any]:
@@ -199,11 +202,21 @@ def _make_again(folder: RunFolder, configuration: TrainingConfiguration, record:
     save_training_data(_collected(configuration, None), folder.data)
 
 
+def _licence(record: dict[str, Any], configuration: TrainingConfiguration) -> str:
+    """Licence of the weights: that of those they began with or of this package, unless they learn the user's data."""
+    origin = record.get("origin")
+    begun = FREE_LICENCE if origin is None else str(origin["licence"])
+    own_garments = any(Path(name).suffix for name in configuration.data.garments)
+    if (record.get("data") == BUILT_IN and not own_garments) or begun.startswith("unknown"):
+        return begun
+    return UNKNOWN_LICENCE if begun == FREE_LICENCE else f"{UNKNOWN_LICENCE}; it began with weights under {begun}"
+
+
 def _restore(trainer: Trainer, folder: RunFolder) -> None:
-    found, origin = folder.load_state(), folder.configuration().get("origin")
+    found, record = folder.load_state(), folder.configuration()
+    trainer.averages.licence, origin = _licence(record, trainer.configuration), record.get("origin")
     if origin is not None:
         trainer.averages.origin = training_record_from_json(origin["record"])
-        trainer.averages.licence = str(origin["licence"])
     if found is not None:
         trainer.resume(*found)
     elif origin is not None:

@@ -40,6 +40,7 @@ def training_record(
         "triangles": sorted({outfit.garment.triangle_count for outfit in data.outfits}),
         "bodies": sorted({body.name for body in data.bodies}),
         "clips": len(data.clips),
+        "motions": sorted({clip.name for clip in data.clips}),
         "batch": configuration.batch,
         "seed": configuration.seed,
         "hours": round(counters.seconds / 3600.0, 3),
