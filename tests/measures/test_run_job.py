@@ -16,7 +16,9 @@ from pb4u.measures import run_job
 from pb4u.measures.job_planner import JobPlanner
 from pb4u.measures.run_job import MOST_TOGETHER, RunJob, attempt, make
 from pb4u.paper.protocol_plan import ALONE
+from pb4u.physics.time_step import DivergedError
 from pb4u.run import Run, WornGarment
+from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
 
@@ -106,6 +108,19 @@ def test_excess_is_measured_on_states_that_all_models_share() -> None:
     assert 0.0 < descent["excess_height"]["mean"] < start["excess_height"]["mean"]
     assert len(start["distance_to_reference"]["per_frame"]) == 4
     assert 0.0 < start["distance_to_reference"]["mean"] < 0.2
+
+
+def test_a_rollout_lost_in_the_lead_in_has_an_excess_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    def breaks(state: State) -> State:
+        if state.frame == 1:
+            raise DivergedError(state.frame, "it is told to")
+        return state
+
+    run = replace(RUN, **{**ALONE, "model": "gradient-descent", "frames": 4, "lead_in": 2})
+    monkeypatch.setattr("pb4u.simulation.stepwise_simulator.require_finite", breaks)
+    lost = make(RunJob(run, keep="stills", excess=True)).result
+    assert (lost["frames"], lost["failed_at"] is None) == (0, False)
+    assert lost["metrics"]["excess_height"]["states"] == 1
 
 
 def test_jobs_of_a_pack_have_the_results_of_each_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

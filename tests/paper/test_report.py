@@ -91,6 +91,39 @@ def test_controls_stand_in_rows_with_what_lies_below_the_reference() -> None:
     assert "excess height [mm]" in [row[0] for table in terms_tables(summary) for row in table.rows]
 
 
+def test_steps_that_are_not_finite_and_rollouts_that_broke_off_count() -> None:
+    """A network's worst failures are infinite and told, or left out of a mean by their number, and never unseen."""
+
+    def measured(heights: list[float | None], distance: float | None, frames: int = 3) -> dict[str, Any]:
+        metrics: dict[str, Any] = {"excess_height": {"per_frame": heights, "below_reference": 0}} if heights else {}
+        if distance is not None:
+            metrics["distance_to_reference"] = {"mean": distance}
+        return result(1.0, diverged=frames < 3) | {
+            "metrics": metrics, "frames": frames, "failed_at": None if frames == 3 else frames,
+        }  # fmt: skip
+
+    def shown(**at: dict[str, Any]) -> tuple[dict[str, str], dict[str, str]]:
+        results = {("11K", motion): each for motion, each in at.items()}
+        summary = summary_of(results, protocol="controls", levels=("11K",), motions=tuple(at))
+        whole, terms = controls_tables(summary)[0], terms_tables(summary)[0]
+        assert isinstance(whole, Table)
+        assert isinstance(terms, Table)
+        return dict(zip(whole.head, whole.rows[0], strict=True)), {row[0]: row[1] for row in terms.rows}
+
+    good = measured([2e-3, 2e-3, 2e-3], 0.005)
+    excess, distance = "excess height [mm]", "distance from the solver's [mm]"
+    whole, terms = shown(walk=good, jump=measured([None, None, 1e-3], 0.001, frames=2))
+    assert whole[excess] == "2 (2 of 6 steps not finite)"
+    assert terms[excess] == "infinite (2 of 6 steps not finite)"
+    assert whole[distance] == terms[distance] == "5 (1 of 2 broke off)"
+    whole, terms = shown(walk=good, jump=measured([1e-3, 1e-3, 1e-3], None, frames=0))
+    assert terms[excess] == "1.5 ± 0.5 (1 of 2 rollouts lost in the lead-in)"
+    assert whole[excess] == "1.5 (1 of 2 rollouts lost in the lead-in)"
+    whole, terms = shown(walk=measured([], None, frames=0))
+    assert whole[excess] == "infinite (1 of 1 steps not finite, 1 of 1 rollouts lost in the lead-in)"
+    assert whole[distance] == terms[distance] == "- (1 of 1 broke off)"
+
+
 def test_the_interval_of_a_share_is_wilsons() -> None:
     assert wilson(0, 10) == pytest.approx((0.0, 0.2775), abs=1e-4)
     assert wilson(5, 10) == pytest.approx((0.2366, 0.7634), abs=1e-4)

@@ -259,7 +259,7 @@ class Reference:
                 after, _ = implicit_steps(minima.potential, minima.solver, step, start=BodyMotionWarmStart().positions)
                 if at_shared:
                     found = minima.lowest(step, [after.positions, *starts])
-            if found is not None and at_shared:
+            if found is not None and at_shared and math.isfinite(found.energy):
                 shared.append(SharedState(states[-2], states[-1], found.energy))
             states.append(after)
         return Reference(timeline, tuple(states), tuple(shared))

@@ -193,6 +193,8 @@ def make(job: RunJob, simulated: Simulated | None = None) -> Made:
     content = None
     if trajectory is None:
         result |= run_facts(simulator.header(scene), simulator, scene, record)
+        if job.excess:
+            result["metrics"] |= _excess(job.run.scene, simulator)
     else:
         result |= run_report(trajectory, simulator, scene, record)
         for measured, described in zip(result["garments"], trajectory.header.garments, strict=True):
@@ -202,7 +204,7 @@ def make(job: RunJob, simulated: Simulated | None = None) -> Made:
                 **described["material"],
             }
         if job.excess:
-            result["metrics"] |= _against_reference(job.run.scene, simulator, trajectory)
+            result["metrics"] |= _distance(job.run.scene, trajectory) | _excess(job.run.scene, simulator)
         if job.keep == "stills":
             shifts = hold_shifts(scene, trajectory)
             result["hold_shift"] = {"per_frame": shifts.max(axis=1).tolist(), "max": float(shifts.max())}
@@ -290,23 +292,29 @@ def _reference(run: Run) -> Reference:
     return Reference.of(timeline, first, scene.total_frames, scene.lead_in)
 
 
-def _against_reference(run: Run, simulator: Simulator, trajectory: Trajectory) -> dict[str, Any]:
-    """Distance [m] of each frame from the reference's, and excess heights [m] on its shared states."""
+def _distance(run: Run, trajectory: Trajectory) -> dict[str, Any]:
+    """Distance [m] of each frame from the reference's."""
     import numpy as np
 
+    from pb4u.measures.excess import series
+
+    pairs = zip(trajectory.positions, _reference(run).states[run.led_frames :], strict=False)
+    away = [float(np.linalg.norm(x - y.positions.numpy(), axis=1).mean()) for x, y in pairs]
+    return {"distance_to_reference": series(away)}
+
+
+def _excess(run: Run, simulator: Simulator) -> dict[str, Any]:
+    """Excess heights [m] on the shared states of the reference; none of what takes no steps."""
     from pb4u.measures.excess import BEATEN_BY, series
     from pb4u.simulation.simulator import RunRecord
     from pb4u.simulation.stepwise_simulator import StepwiseSimulator
 
+    if not isinstance(simulator, StepwiseSimulator):
+        return {}
     reference = _reference(run)
-    pairs = zip(trajectory.positions, reference.states[run.led_frames :], strict=False)
-    away = [float(np.linalg.norm(x - y.positions.numpy(), axis=1).mean()) for x, y in pairs]
-    found: dict[str, Any] = {"distance_to_reference": series(away)}
-    if isinstance(simulator, StepwiseSimulator):
-        heights = reference.excess(simulator.method(reference.timeline, RunRecord()))
-        below = sum(height < -BEATEN_BY for height in heights)
-        found["excess_height"] = {**series(heights), "states": len(heights), "below_reference": below}
-    return found
+    heights = reference.excess(simulator.method(reference.timeline, RunRecord()))
+    below = sum(height < -BEATEN_BY for height in heights)
+    return {"excess_height": {**series(heights), "states": len(heights), "below_reference": below}}
 
 
 def _own_steps(simulator: Simulator, mean_edge_length: float) -> int | None:

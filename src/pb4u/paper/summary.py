@@ -109,7 +109,8 @@ def spread(values: Iterable[float | None]) -> Spread | None:
     present = [value for value in values if value is not None]
     if not present:
         return None
-    return Spread(statistics.fmean(present), statistics.pstdev(present), len(present))
+    deviation = statistics.pstdev(present) if all(map(math.isfinite, present)) else math.nan
+    return Spread(statistics.fmean(present), deviation, len(present))
 
 
 @dataclass(frozen=True)
@@ -154,6 +155,21 @@ class Row:
         return bool(self.result and self.result["diverged"])
 
     @property
+    def broke_off(self) -> bool:
+        """Whether the state stopped being finite, and the frames after it are missing."""
+        return bool(self.result and self.result["failed_at"] is not None)
+
+    @property
+    def heights(self) -> list[float]:
+        """Excess heights on the shared states [m]; infinite where a step was not finite, or none measured."""
+        if self.result is None:
+            return []
+        found = self.result["metrics"].get("excess_height", {}).get("per_frame", [])
+        if not found and self.case.job.excess and self.result["frames"] == 0:
+            return [math.inf]
+        return [math.inf if height is None else height for height in found]
+
+    @property
     def faults(self) -> list[str]:
         """Sentences on what went wrong; none for a rollout without faults, or not done yet."""
         if self.failure is not None:
@@ -192,12 +208,18 @@ class Row:
     def value(self, quantity: str) -> float | None:
         """A quantity by the name that tables use; energies [J] are means over frames by the released convention.
 
+        An excess height with a step that is not finite is infinite; a rollout that broke off has no distance.
+
         Args:
             quantity: its name.
         """
         if quantity in ("ratio", "survived_percent"):
             value = getattr(self, quantity)
         elif self.result is None:
+            return None
+        elif quantity == "excess_height":
+            value = 1e3 * statistics.fmean(self.heights) if self.heights else None
+        elif quantity == "distance_to_reference" and self.broke_off:
             return None
         elif quantity == "ms":
             value = self.result["ms_per_step"]

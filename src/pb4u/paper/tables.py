@@ -39,6 +39,8 @@ def with_spread(quantity: str, cell: Spread | None) -> str:
     """
     if cell is None:
         return "-"
+    if math.isinf(cell.mean):
+        return "infinite"
     mean = number(quantity, cell.mean)
     return f"{mean} ± {number(quantity, cell.deviation)}" if cell.scenes > 1 else mean
 
@@ -58,6 +60,25 @@ def _counts(cell: Cell) -> tuple[str, str]:
     return share_text(cell.diverged, cell.done), f"{cell.done}{missing}"
 
 
+def caveats(quantity: str, rows: list[Row]) -> str:
+    """What of some rollouts a quantity is infinite for, or leaves out, in brackets; "" where it is nothing.
+
+    Args:
+        quantity: its name.
+        rows: the rollouts.
+    """
+    told = []
+    if quantity == "excess_height":
+        heights = [height for row in rows for height in row.heights]
+        if bad := sum(map(math.isinf, heights)):
+            told.append(f"{bad} of {len(heights)} steps not finite")
+        if lost := sum(row.broke_off and not (row.result or {})["frames"] for row in rows):
+            told.append(f"{lost} of {len(rows)} rollouts lost in the lead-in")
+    elif quantity == "distance_to_reference" and (broke_off := sum(row.broke_off for row in rows)):
+        told.append(f"{broke_off} of {len(rows)} broke off")
+    return f" ({', '.join(told)})" if told else ""
+
+
 def terms_tables(summary: Summary) -> list[Block]:
     """Tables, one a level: the energies and what they leave out, a column a model, the paper's columns beside them.
 
@@ -72,7 +93,11 @@ def terms_tables(summary: Summary) -> list[Block]:
         rows = [
             [
                 label(quantity),
-                *(with_spread(quantity, cell.quantities[quantity]) for cell in cells),
+                *(
+                    with_spread(quantity, cell.quantities[quantity])
+                    + caveats(quantity, summary.select(level=level, model=cell.model, steps=cell.steps))
+                    for cell in cells
+                ),
                 *(number(quantity, theirs[quantity]) if quantity in theirs else "" for theirs in paper.values()),
             ]
             for quantity in (
@@ -124,7 +149,8 @@ _CONTROLS_NOTE = (
     "Excess height: energy that a step leaves above its minimum, as the height to which it would lift the garment, on "
     "states of the solver that all rows share; the median over states and scenes. The minimum is the lowest that the "
     "solver reaches from several starts; where a step lies below it, the count says so. Distance: of the whole rollout "
-    "from the solver's, mean over vertices and frames. Diverged with a Wilson interval of 95 %."
+    "from the solver's, mean over vertices and frames; none of those that broke off. "
+    "Diverged with a Wilson interval of 95 %."
 )
 
 
@@ -142,19 +168,20 @@ def controls_tables(summary: Summary) -> list[Block]:
     rows, parts = [], []
     for name, (model, steps) in summary.columns.items():
         done = [row for row in summary.select(model=model, steps=steps) if row.result]
-        states = [height for row in done for height in _heights(row)]
+        states = [1e3 * height for row in done for height in row.heights]
         below = sum(_excess(row).get("below_reference", 0) for row in done)
         rows.append(
             [
-                name, f"{len(done)}", _median(states),
-                *(_mean_of(done, quantity) for quantity in ("distance_to_reference", "visible_skin_percent")),
-                _mean_of(done, "self_intersections"), _mean_of(done, "ratio"),
+                name, f"{len(done)}", _median(states) + caveats("excess_height", done),
+                _mean_of(done, "distance_to_reference") + caveats("distance_to_reference", done),
+                *(_mean_of(done, quantity) for quantity in ("visible_skin_percent", "self_intersections")),
+                _mean_of(done, "ratio"),
                 share_text(sum(row.diverged for row in done), len(done)), _mean_of(done, "ms"),
                 f"{below} of {len(states)}",
             ]
         )  # fmt: skip
         named = [[row for row in done if row.case.garment == garment] for garment in garments]
-        parts.append([name, *(_median([height for row in own for height in _heights(row)]) for own in named)])
+        parts.append([name, *(_median([1e3 * height for row in own for height in row.heights]) for own in named)])
     return [
         Table("All scenes", _CONTROLS_NOTE, head, rows),
         Table("By garment", "Excess height [mm], median over states.", ["model", *garments], parts),
@@ -166,13 +193,11 @@ def _excess(row: Row) -> dict[str, Any]:
     return found
 
 
-def _heights(row: Row) -> list[float]:
-    """Excess heights of a rollout [mm]; infinite where a step was not finite."""
-    return [math.inf if height is None else 1e3 * height for height in _excess(row).get("per_frame", [])]
-
-
 def _median(values: list[float]) -> str:
-    return f"{statistics.median(values):.3g}" if values else "-"
+    if not values:
+        return "-"
+    middle = statistics.median(values)
+    return "infinite" if math.isinf(middle) else f"{middle:.3g}"
 
 
 def _mean_of(rows: list[Row], quantity: str) -> str:
