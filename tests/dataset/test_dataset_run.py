@@ -9,6 +9,7 @@ import signal
 import tarfile
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,7 +25,7 @@ from pb4u.jobs import job_folder
 from pb4u.jobs.job import Failure, Made
 from pb4u.jobs.worker_pool import LocalPool, RayPool, WorkerPool
 from pb4u.measures.run_job import RunJob, attempt
-from pb4u.run import Run
+from pb4u.run import ENTRIES, Run
 from pb4u.scene.trajectory import Trajectory
 
 parquet = pytest.importorskip("pyarrow.parquet", reason='needs the "dataset" extra')
@@ -117,6 +118,33 @@ def test_every_label_and_metric_is_in_the_index_and_the_clips_open(tmp_path: Pat
     on_disk = sum(file.stat().st_size for file in (tmp_path / "set").rglob("*") if file.name != "index.parquet")
     planned = sum(footprints(plan_clips([*runs(1), *runs(1, **outfit)], False, print)))
     assert planned == pytest.approx(on_disk, rel=0.05)
+
+
+def test_the_index_has_every_entry_that_a_jobs_file_may_vary(tmp_path: Path) -> None:
+    varied = {"tacks": [[1, 2]], "tucked": True, "passes": 2, "keep_lead_in": True, "recorded_fps": 60.0}
+    make([*runs(1), *runs(1, **varied)], tmp_path / "set", quick)
+    plain, told = rows(tmp_path / "set")
+    assert (told["tacks"], told["tucked"]) == ([[[1, 2]]], [True])
+    for name in ("passes", "keep_lead_in", "recorded_fps"):
+        assert told[name] == varied[name] != plain[name]
+    named = {"garment": "garments", "triangles": "triangles_asked", "frames": "frames_asked"}
+    assert {named.get(name, name) for name in ENTRIES} <= plain.keys()
+
+
+def test_files_of_one_stem_and_what_is_in_them_are_told_apart_in_the_index(tmp_path: Path) -> None:
+    def cloth(place: str, density: float) -> str:
+        file = tmp_path / place
+        file.parent.mkdir(parents=True, exist_ok=True)
+        cloth = {"density": density, "lame_mu": 3e4, "lame_lambda": 4e4, "bending": 2e-5}
+        file.write_text(json.dumps(cloth))
+        return str(file)
+
+    places = ("mill/3/felt.json", "mill/8/felt.json", "mill/8/jute.json")
+    wanted = [run for at, each in enumerate(places) for run in runs(1, material=cloth(each, 0.1 + 0.1 * at))]
+    make(wanted, tmp_path / "set", quick)
+    assert [row["material"] for row in rows(tmp_path / "set")] == ["3/felt.json", "8/felt.json", "jute"]
+    job = RunJob(replace(wanted[0], motion="wham.pkl:3"), contents=(("wham.pkl:3", "wham.pkl", "digest"),))
+    assert job.labels["motion"] == "wham:3"
 
 
 def test_half_precision_is_half_the_size_and_good_to_a_quarter_of_a_millimetre(tmp_path: Path) -> None:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pb4u.dataset.dataset_folder import INDEX, DatasetFolder
 from pb4u.errors import extra
 from pb4u.garment.material import Material
 from pb4u.measures.metrics import ENERGIES, OF_A_CLIP, STRAINS
-from pb4u.measures.run_job import RunJob
+from pb4u.measures.run_job import RunJob, entry_of
 
 if TYPE_CHECKING:
     import pyarrow
@@ -42,20 +44,39 @@ def write_index(folder: DatasetFolder, jobs: Sequence[RunJob]) -> None:
     import pyarrow
     import pyarrow.parquet
 
-    rows = [_row(folder, job) for job in jobs]
+    titles = _titles(jobs)
+    rows = [_row(folder, job, job.labelled(titles)) for job in jobs]
     table = pyarrow.Table.from_pylist(rows, schema=_schema())
     content = io.BytesIO()
     pyarrow.parquet.write_table(table, content, compression="zstd")
     folder.write(INDEX, content.getvalue())
 
 
-def _row(folder: DatasetFolder, job: RunJob) -> dict[str, Any]:
+def _titles(jobs: Sequence[RunJob]) -> dict[str, str]:
+    """What values are called whose files share a stem: by the shortest end of the path that tells the file apart."""
+    files = {value: Path(file).absolute() for job in jobs for value, file, _ in reversed(job.contents)}
+    entries = {value: entry_of(value, file) for job in jobs for value, file, _ in reversed(job.contents)}
+    different = set(files.values())
+    stems = Counter(path.stem for path in different)
+    ends = Counter(end for path in different for end in _ends(path))
+    return {
+        value: next(end for end in _ends(path) if ends[end] == 1) + entries[value]
+        for value, path in files.items()
+        if stems[path.stem] > 1
+    }
+
+
+def _ends(path: Path) -> list[str]:
+    """Ends of a path, the shortest first."""
+    return ["/".join(path.parts[-count:]) for count in range(1, len(path.parts) + 1)]
+
+
+def _row(folder: DatasetFolder, job: RunJob, labels: Mapping[str, Any]) -> dict[str, Any]:
     result, failure, place = folder.result(job), folder.failure(job), folder.place(job.key)
     row: dict[str, Any] = {"key": job.key, "status": "done" if result else "failed" if failure else "missing"}
-    row |= job.labels
     if result is None or place is None:
-        return row | {"failure": failure.sentence if failure else None}
-    row |= {"file": place.file, "member": place.member, **result}
+        return {**row, **labels, "failure": failure.sentence if failure else None}
+    row |= {"file": place.file, "member": place.member, **result, **labels}
     for prefix, tables in (("", result["metrics"]), ("paper_", result["metrics_paper"])):
         for name, measured in tables.items():
             row |= {f"{prefix}{name}_{part}": measured[part] for part in _MEASURED}
@@ -91,14 +112,21 @@ def _schema() -> pyarrow.Schema:
     columns = {
         **dict.fromkeys(("key", "status", "failure", "file", "member"), text),
         **dict.fromkeys(("garment", "material", "pins", "body", "motion", "model", "device", "first_frame"), text),
+        **dict.fromkeys(("texture", "clip", "body_parts", "omitted", "precision"), text),
+        "tacks": pa.list_(pa.list_(pa.list_(whole))),
+        "tucked": pa.list_(switch),
         "triangles_asked": pa.list_(whole),
         "body_shape": pa.map_(text, number),
         "crop": pa.list_(whole),
         **dict.fromkeys(("seed", "lead_in", "frames_asked", "frames", "triangles", "vertices"), whole),
-        **dict.fromkeys(("propagation_steps", "refine", "solver_iterations", "unsolved_steps", "retried_steps"), whole),
+        **dict.fromkeys(
+            ("propagation_steps", "passes", "refine", "solver_iterations", "unsolved_steps", "retried_steps"), whole
+        ),
         **dict.fromkeys(("failed_at", "diverged_at", "bytes"), whole),
-        **dict.fromkeys(("contact", "self_contact", "half", "diverged"), switch),
-        **dict.fromkeys(("fps", "arms_away", "mean_edge_length", "ms_per_step", "seconds"), number),
+        **dict.fromkeys(
+            ("contact", "self_contact", "half", "diverged", "raw_motion", "keep_lead_in", "as_recorded"), switch
+        ),
+        **dict.fromkeys(("fps", "recorded_fps", "arms_away", "mean_edge_length", "ms_per_step", "seconds"), number),
         "notes": pa.list_(text),
         **measured(OF_A_CLIP),
         **measured(ENERGIES, "paper_"),

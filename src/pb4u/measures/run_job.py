@@ -71,7 +71,7 @@ class RunJob:
         files: dict[str, list[str]] = {}
         for value, file, content in self.contents:
             # Of the value, what is beyond its own file is kept: a garment, level or person in it.
-            entry = "" if value in files else _entry(value, file)
+            entry = "" if value in files else entry_of(value, file)
             files.setdefault(value, []).append(f"{Path(file).name}{entry} {content}")
         identity = {
             "version": FOLDER_VERSION,
@@ -90,16 +90,29 @@ class RunJob:
 
     @property
     def labels(self) -> dict[str, Any]:
-        """Options of the run as JSON: names as they were given, files by their stem."""
-        run, names = self.run, {value: Path(file).stem for value, file, _ in reversed(self.contents)}
+        """Options of the run as JSON: names as they were given, files by their stem and what is named in them."""
+        return self.labelled({})
+
+    def labelled(self, titles: Mapping[str, str]) -> dict[str, Any]:
+        """The labels, some files by another title.
+
+        Args:
+            titles: value in `run` -> what it is called.
+        """
+        run = self.run
+        stems = {value: Path(file).stem + entry_of(value, file) for value, file, _ in reversed(self.contents)}
+        names = {**stems, **titles}
 
         def named(value: object) -> str | None:
             return None if value is None else names.get(str(value), str(value))
 
         return {
-            "garment": "+".join(each.name for each in run.garments),
+            "garment": "+".join(titles.get(str(each.garment), each.name) for each in run.garments),
             "material": "+".join(named(each.material) or "default" for each in run.garments),
             "pins": "+".join(named(each.pins) or "own" for each in run.garments),
+            "texture": "+".join(named(each.texture) or "own" for each in run.garments),
+            "tacks": [[list(pair) for pair in each.tacks] for each in run.garments],
+            "tucked": [each.tucked for each in run.garments],
             "triangles_asked": [each.triangles for each in run.garments],
             "body": named(run.body),
             "body_shape": dict(run.body_shape),
@@ -107,6 +120,7 @@ class RunJob:
             "frames_asked": run.frames,
             "crop": None if run.crop is None else list(run.crop),
             "lead_in": run.led_frames,
+            "omitted": named(run.omitted),
             "model": named(run.model),
             "half": self.keep == "half",
             **{name: getattr(run, name) for name in _AS_THEY_ARE},
@@ -122,7 +136,8 @@ class RunJob:
 
 
 _AS_THEY_ARE = (
-    "seed", "fps", "arms_away", "refine", "contact", "self_contact", "first_frame", "device",
+    "seed", "fps", "arms_away", "refine", "contact", "self_contact", "first_frame", "device", "clip",
+    "body_parts", "raw_motion", "recorded_fps", "keep_lead_in", "as_recorded", "passes", "precision",
 )  # fmt: skip
 
 
@@ -345,8 +360,13 @@ def _worst_frame(result: dict[str, Any], frames: int) -> int:
     return max(range(len(values)), key=values.__getitem__)
 
 
-def _entry(value: str, file: str) -> str:
-    """What a value names within its file, such as ":tshirt" or ":3"; "" where it is the file alone."""
+def entry_of(value: str, file: str) -> str:
+    """What a value names within its file, such as ":tshirt" or ":3"; "" where it is the file alone.
+
+    Args:
+        value: as a run has it.
+        file: path of its file.
+    """
     return Path(value).as_posix().removeprefix(Path(file).as_posix())
 
 
