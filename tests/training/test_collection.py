@@ -56,6 +56,14 @@ def test_vto_recordings_are_trained_on_and_every_tenth_validates(tmp_path: Path)
     assert [name for name, split in splits if split == "validation"] == ["clip9"]
 
 
+@pytest.mark.parametrize(("count", "held_out"), [(1, []), (2, ["clip1"]), (9, ["clip8"])])
+def test_of_few_recordings_one_is_held_out(count: int, held_out: list[str], tmp_path: Path) -> None:
+    for number in range(count):
+        write_vto(tmp_path / f"clip{number}.pkl")
+    data = collect(replace(selection("skirt"), motions=(), shapes=1), tmp_path)
+    assert [clip.name for clip in data.clips if clip.split == "validation"] == held_out
+
+
 def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds no file of \.pkl, \.npz, \.bvh, and none of the recordings"):
         collect(selection("skirt"), tmp_path)

@@ -171,7 +171,7 @@ def test_validation_reads_back_once_a_clip(in_tensors: None, monkeypatch: pytest
     for _ in range(2):
         # Constants are made by the first.
         with accelerator.Counted() as counted, torch.no_grad():
-            assert len(list(moved[0]._frames(*moved[1:]))) == other.validation.frames
+            assert len(list(moved[0]._frames(*moved[1:]))) == window.length
     assert sum(counted.launches.values()) > 1000
     assert not counted.transfers
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 import torch
-from tests.training.ball_data import TINY, ball_data
+from tests.training.ball_data import TINY, ball_data, slide
 from tests.training.listening import ALONE, Listener, made
 from torch import Tensor
 
-from pb4u.errors import InputError
+from pb4u.errors import InputError, InputWarning
 from pb4u.network.graph.features import ADVANCE, DESCENT, FeatureLayout
 from pb4u.paper.network_presets import pb4u_small
 from pb4u.physics.step_potential import Energies
@@ -421,6 +421,24 @@ def test_validation_clips_are_spread_over_garments_sizes_and_bodies() -> None:
     assert sorted(outfits[sample.outfit].garment.name for sample in chosen) == 3 * ["apron"] + 3 * ["cape"]
     assert len({sample.outfit for sample in chosen}) == 6
     assert {outfits[sample.outfit].garment.triangle_count for sample in chosen} == {32, 72, 128}
+
+
+def test_a_validation_on_training_clips_is_warned_of() -> None:
+    data = ball_data()
+    with pytest.warns(InputWarning, match="on clips that are trained on"):
+        Trainer(TINY, Budget(1), replace(data, clips=data.clips[:2]), ALONE, None, Listener())
+
+
+def test_a_short_clip_shortens_no_other() -> None:
+    data, short, long = ball_data(), slide("validation", 0.5, frames=3), slide("validation", 0.6)
+    two = Validation(replace(data, clips=(*data.clips[:2], short, long)), TINY, made(TINY, 1).loader)
+    assert {two.data.clips[sample.clip].name for sample in two.samples} == {"slide-0.6"}
+    assert [two.frames(sample) for sample in two.samples] == 2 * [TINY.validation_frames]
+    with pytest.warns(InputWarning, match="shorter than 5 frames: no clip for it has more than 3"):
+        alone = Trainer(TINY, Budget(1), replace(data, clips=(*data.clips[:2], short)), ALONE, None, Listener())
+    assert [alone.validation.frames(sample) for sample in alone.validation.samples] == [3, 3]
+    vars(alone.validation)["references"] = ()
+    assert alone.validation.score(alone.model.eval()).survived > 0.0
 
 
 def test_minutes_are_those_of_training_and_not_of_its_statistics(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,7 +35,8 @@ def collect(
     Args:
         selection: garments, bodies and motions.
         recordings: folder of recordings: SUBJECT/TRIAL.amc of the catalogue's training and validation splits, and .pkl
-            files of VTO, .npz of AMASS and .bvh of any name, every tenth of which is for validation.
+            files of VTO, .npz of AMASS and .bvh of any name, every tenth of which is for validation; where none would
+            be, the last of all is.
         seed: seed of body shapes and of the choice of clips.
         progress: called with (parts made, parts in all).
 
@@ -126,7 +127,10 @@ def _built_in_clips(
 
 
 def _recorded(folder: Path) -> dict[str, list[Motion]]:
-    """Motions of the files below the `folder`, by split: that of the catalogue, and of others every tenth validates."""
+    """Motions of the files below the `folder`, by split: that of the catalogue, and of others every tenth validates.
+
+    Of two or more one does at least.
+    """
     found: dict[str, list[Motion]] = {}
     trials = {trial: split for split in ("train", "validation") for trial in RECORDINGS[split]}
     missing = dict(trials)
@@ -148,6 +152,8 @@ def _recorded(folder: Path) -> dict[str, list[Motion]]:
             f"The folder {folder} holds no file of {', '.join(_OTHER_RECORDINGS)}, and none of the recordings of the "
             f"catalogue, such as {first.split('_')[0]}/{first}.amc."
         )
+    if "validation" not in found and len(found["train"]) > 1:
+        found["validation"] = [found["train"].pop()]
     if missing and not others:
         warn(f"{len(missing)} recordings of the catalogue are not in {folder}.")
     return found

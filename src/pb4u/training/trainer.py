@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from pb4u.errors import warn
 from pb4u.measures.metrics import strain_percentile
 from pb4u.network.acceleration_model import PreparedGarments
 from pb4u.physics.time_step import TimeStep
@@ -90,6 +91,8 @@ class Trainer:
         self.sampler = Sampler(data, configuration)
         self.loader = WindowLoader(Wardrobe(data, workers.device))
         self.validation = Validation(data, configuration, self.loader)
+        for note in dict.fromkeys(self.validation.notes) if workers.leads else ():
+            warn(note)
         self.share = workers.share(configuration.batch)
         self.counters = Counters()
         self.journal = Journal(reporter, folder, workers.leads)

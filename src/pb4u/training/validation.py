@@ -81,24 +81,39 @@ class Validation:
     """A fixed set of clips, spread over garments, levels and bodies.
 
     Args:
-        data: its "validation" clips are used, its training clips where it has none.
+        data: its "validation" clips are used, its training clips where it has none; clips of as many frames as are
+            asked for, or the longest there is.
         configuration: how many clips and frames.
         loader: lays them out.
     """
 
     def __init__(self, data: TrainingData, configuration: TrainingConfiguration, loader: WindowLoader) -> None:
         rng = np.random.default_rng([configuration.seed, 7])
-        splits = {clip.split for clip in data.clips}
-        wanted = "validation" if "validation" in splits else "train"
-        self.samples = []
+        self.samples, self.notes, self.data = [], [], data
+        self.most_frames = configuration.validation_frames
         for outfit in _spread(data, configuration.validation_clips):
             body = data.outfits[outfit].body
-            clips = [i for i, clip in enumerate(data.clips) if clip.body == body and clip.split == wanted]
-            clips = clips or [i for i, clip in enumerate(data.clips) if clip.body == body]
+            own = [i for i, clip in enumerate(data.clips) if clip.body == body]
+            held_out = [i for i in own if data.clips[i].split == "validation"]
+            clips = held_out or own
+            longest = min(max(len(data.clips[i].poses) for i in clips), self.most_frames)
+            clips = [i for i in clips if len(data.clips[i].poses) >= longest]
             self.samples.append(Sample(outfit, int(rng.choice(clips)), 0, MATERIALS["default"]))
-        shortest = min(len(data.clips[sample.clip].poses) for sample in self.samples)
-        self.frames = min(configuration.validation_frames, shortest)
+            if not held_out:
+                self.notes.append("No clip is held out for validation: it is on clips that are trained on.")
+            if longest < self.most_frames:
+                self.notes.append(
+                    f"Validation is shorter than {self.most_frames} frames: no clip for it has more than {longest}."
+                )
         self.loader, self.clearance = loader, configuration.clearance
+
+    def frames(self, sample: Sample) -> int:
+        """Frames of a clip that are simulated.
+
+        Args:
+            sample: the clip.
+        """
+        return min(self.most_frames, len(self.data.clips[sample.clip].poses))
 
     @torch.no_grad()
     def score(self, model: AccelerationModel) -> Score:
@@ -114,7 +129,7 @@ class Validation:
             strain += strains
             if frames:
                 logarithms.append(math.log(max(energies / frames, _NO_ENERGY)))
-        total = self.frames * len(self.samples)
+        total = sum(map(self.frames, self.samples))
         energy = math.exp(sum(logarithms) / len(logarithms)) if logarithms else math.inf
         return Score(survived / total, self._excess_height(model), strain / max(survived, 1), energy)
 
@@ -143,7 +158,7 @@ class Validation:
 
     def _rollout(self, model: AccelerationModel, sample: Sample) -> tuple[int, float, float]:
         """Frames before the garment is lost, and the sums of their energies without gravity [J] and strains."""
-        window, rooms = self.loader.load([sample], self.frames), self.loader.wardrobe.rooms
+        window, rooms = self.loader.load([sample], self.frames(sample)), self.loader.wardrobe.rooms
         while True:
             rows = torch.stack(list(self._frames(model, window))).tolist()
             if rooms is None or not rooms.grow(*rooms.taken()):
@@ -158,7 +173,7 @@ class Validation:
         timeline, rooms, watch = window.timeline, self.loader.wardrobe.rooms, GarmentWatch()
         garments, state = timeline.garments, window.start(0.0, self.clearance)
         method = _method(model, garments)
-        for frame in range(self.frames):
+        for frame in range(window.length):
             step = timeline.step_from(state) if frame else timeline.settling_from(state)
             *_, prediction = predictions(step, method, rooms)
             after = prediction.state
