@@ -18,12 +18,17 @@ from pb4u.training.packed_data import load_training_data, rounded_poses, save_tr
 
 def test_a_pack_gives_back_exactly_what_was_packed(tmp_path: Path) -> None:
     data = ball_data()
+    levels = (np.array([[0, 2], [2, 4]]), np.array([[0, 4]]))
+    first = replace(data.outfits[0], garment=replace(data.outfits[0].garment, coarse_edges=levels))
+    data = replace(data, outfits=(first, *data.outfits[1:]))
     save_training_data(replace(data, bodies=data.bodies), tmp_path / "pack.npz")
     again = load_training_data(tmp_path / "pack.npz")
     for a, b in zip(data.outfits, again.outfits, strict=True):
         assert np.array_equal(a.garment.vertices, b.garment.vertices)
         assert np.array_equal(a.garment.faces, b.garment.faces)
         assert np.array_equal(a.weights.weights, b.weights.weights)
+        assert len(a.garment.coarse_edges) == len(b.garment.coarse_edges)
+        assert all(map(np.array_equal, a.garment.coarse_edges, b.garment.coarse_edges))
         assert (a.body, a.garment.name, a.garment.material) == (b.body, b.garment.name, b.garment.material)
     for c, d in zip(data.clips, again.clips, strict=True):
         assert np.array_equal(c.poses.rotations, d.poses.rotations)

@@ -147,12 +147,14 @@ def save_training_data(data: TrainingData, path: Path | str) -> None:
                 "body": outfit.body,
                 "loose": garment.loose,
                 "material": asdict(garment.material),
+                "coarse_levels": len(garment.coarse_edges),
             }
         )
         arrays |= {
             f"outfit{i}.vertices": garment.vertices,
             f"outfit{i}.faces": garment.faces.astype(np.int32),
             f"outfit{i}.pinned": garment.pinned,
+            **{f"outfit{i}.coarse{level}": edges for level, edges in enumerate(garment.coarse_edges)},
             **_weight_arrays(f"outfit{i}", outfit.weights),
         }
     for i, clip in enumerate(data.clips):
@@ -237,6 +239,7 @@ def _outfits(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Iterator[
             Material(**record["material"]),
             arrays[f"outfit{i}.pinned"],
             loose=record["loose"],
+            coarse_edges=tuple(arrays[f"outfit{i}.coarse{n}"] for n in range(record.get("coarse_levels", 0))),
         )
         yield Outfit(garment, _weights(f"outfit{i}", arrays), int(record["body"]))
 
