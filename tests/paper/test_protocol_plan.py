@@ -133,6 +133,15 @@ def test_recordings_take_the_place_of_built_in_motions(test_data: Path) -> None:
     assert case.job.contents[0][0] == case.job.run.motion
 
 
+def test_a_motion_file_goes_by_its_label_and_is_pictured(tmp_path: Path) -> None:
+    file = tmp_path / "jive.bvh"
+    file.touch()
+    planned = plan(EvaluationRequest("resolution", models=("skinning",), levels=("400",), motions=(str(file),)))
+    assert planned.protocol.motions == ("jive",)
+    assert all(planned.protocol.pictures(case.level, case.motion, "woman") for case in planned.cases)
+    assert {job.run.model for job in planned.jobs} == {"skinning", "solver"}
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

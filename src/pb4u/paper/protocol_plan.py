@@ -136,6 +136,8 @@ class _Planning:
         self.motions = [_motion(name, request.recordings) for name in self.protocol.motions]
         _check_told_apart("garments", {given: WornGarment(given).name for given in self.protocol.garments})
         _check_told_apart("motions", {str((each.source, each.seed)): each.label for each in self.motions})
+        # As cases have them, by which pictures and the page name them.
+        self.protocol = replace(self.protocol, motions=tuple(each.label for each in self.motions))
         self.models, self.absent = self._present_models()
 
     def plan(self) -> Plan:
