@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -71,6 +72,15 @@ def test_two_processes_have_the_losses_of_one(tmp_path: Path) -> None:
         assert found["losses"][0] == pytest.approx(expected[0], rel=1e-5)
         assert torch.allclose(found["weights"], weights, atol=2e-3)
     assert len(expected) == STEPS
+
+
+def test_processes_wait_long_for_one_that_validates(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: dict[str, timedelta] = {}
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.setattr("torch.distributed.init_process_group", lambda backend, **options: given.update(options))
+    monkeypatch.setattr("torch.distributed.destroy_process_group", lambda: None)
+    with workers("cpu"):
+        assert given["timeout"] >= timedelta(hours=12)
 
 
 def test_batches_that_cannot_be_shared_and_absent_devices_are_refused() -> None:

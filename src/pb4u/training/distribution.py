@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 
 import torch
 import torch.distributed as torch_distributed
@@ -15,6 +16,9 @@ from torch.nn.parallel import DistributedDataParallel
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.simulation.models import available_device
+
+_PATIENCE = timedelta(days=1)
+"""How long processes wait for another: while the leading one makes data or validates, the others do nothing."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +141,7 @@ def workers(device: str = "auto") -> Iterator[Workers]:
             )
         torch.cuda.set_device(place)
     if count > 1:
-        torch_distributed.init_process_group("cpu:gloo,cuda:nccl" if accelerated else "gloo")
+        torch_distributed.init_process_group("cpu:gloo,cuda:nccl" if accelerated else "gloo", timeout=_PATIENCE)
     try:
         yield Workers(rank, count, place)
     finally:
