@@ -86,7 +86,7 @@ def test_a_garment_that_is_worn_is_crossed_by_no_bone() -> None:
     measured = run_report(trajectory, SkinningSimulator(), scene, RunRecord())
     assert measured["limbs_through_cloth"] == []
     assert measured["metrics"]["limbs_through_cloth"]["per_frame"] == [0.0] * 4
-    assert limbs_sentence([], 4) is None
+    assert limbs_sentence([], trajectory) is None
 
 
 def test_a_limb_through_cloth_is_counted_and_said() -> None:
@@ -100,13 +100,32 @@ def test_a_limb_through_cloth_is_counted_and_said() -> None:
     counts = report["metrics"]["limbs_through_cloth"]["per_frame"]
     assert counts[:2] == [0.0, 0.0]
     assert min(counts[2:]) >= 1.0
-    assert any(
-        "lowerarm01.L (2)" in note and "; --triangles" in note and "--arms-away 8" in note and "from frame 2 on" in note
-        for note in report["notes"]
+    assert (found["garment"], found["triangles"]) == ("tshirt", found["triangles"])
+    (note,) = report["notes"][-1:]
+    assert "the left forearm (2)" in note
+    assert note.endswith("skinning has no physics, --model quick-solver has."), "no advice as if it held cloth off"
+
+
+def by(model: str, trajectory: Trajectory, **metadata: object) -> Trajectory:
+    """The trajectory as if a model had made it."""
+    header = trajectory.header
+    told = {**header.metadata, "model": model, "contact": True, **metadata}
+    return replace(trajectory, header=replace(header, metadata=told))
+
+
+def test_the_end_of_a_run_names_one_number_a_garment() -> None:
+    trajectory = by("solver", worn()[1])
+    found = [
+        {"bone": bone, "first_frame": 2, "frames": 4 - k, "garment": "tshirt", "triangles": triangles}
+        for k, (bone, triangles) in enumerate([("upperarm01.L", 700), ("upperarm02.L", 900), ("left_elbow", None)])
+    ]
+    assert limbs_sentence(found, trajectory) == (
+        "Limbs have gone through the cloth from frame 2 on, in so many of 4 frames: the left upper arm (4), the left "
+        "forearm (2); --triangles 900 makes the cloth fine enough for them; --arms-away 8 holds arms off the body."
     )
-    assert "--arms-away" not in str(
-        limbs_sentence([{"bone": "toes.L", "first_frame": 0, "frames": 1, "triangles": None}], 4)
-    )
+    toes = [{"bone": "toes.L", "first_frame": 0, "frames": 1, "garment": "tshirt", "triangles": None}]
+    assert "--" not in str(limbs_sentence(toes, trajectory))
+    assert str(limbs_sentence(toes, by("solver", trajectory, contact=False))).endswith("leave out --contact off.")
 
 
 def test_a_bone_without_skin_of_its_own_is_as_thick_as_its_joint() -> None:
@@ -115,7 +134,7 @@ def test_a_bone_without_skin_of_its_own_is_as_thick_as_its_joint() -> None:
     bare = next(k for k, name in enumerate(bones.names) if name == "foot.L" and not (bones.skin == k).any())
     crossed, watch = watched(bones, skewered(bare, along=0.9, size=0.005)[1])
     assert [k for k in np.flatnonzero(crossed[2]).tolist() if bones.names[k] == "foot.L"] == [bare]
-    assert watch.enough["foot.L"] is not None
+    assert watch.needs["foot.L"][1] is not None
 
 
 def test_a_bone_outside_of_its_skin_says_nothing() -> None:
@@ -165,10 +184,10 @@ def test_many_bones_of_one_name_are_one_and_the_longest_comes_first() -> None:
     crossed = np.array([[0, 0, 1, 0], [1, 0, 1, 0], [0, 1, 1, 0]], dtype=bool)
     names = ("foot", "foot", "shin", "thigh")
     watch = LimbWatch(Bones(names, np.zeros((3, 4, 2, 3)), np.zeros(0, dtype=np.int64)), worn()[1].header)
-    watch.enough = {"shin": 3000, "foot": None}
+    watch.needs = {"shin": ("tights", 3000), "foot": ("tights", None)}
     assert limbs_through_cloth(crossed, watch) == [
-        {"bone": "shin", "first_frame": 0, "frames": 3, "triangles": 3000},
-        {"bone": "foot", "first_frame": 1, "frames": 2, "triangles": None},
+        {"bone": "shin", "first_frame": 0, "frames": 3, "garment": "tights", "triangles": 3000},
+        {"bone": "foot", "first_frame": 1, "frames": 2, "garment": "tights", "triangles": None},
     ]
 
 
@@ -201,8 +220,9 @@ def test_skin_that_comes_out_of_a_sleeve_is_found_though_its_bone_is_inside() ->
 def test_the_triangles_that_would_hold_go_with_the_limb_and_the_edges() -> None:
     """Edges that span 22 degrees of the arm: the same count for a finer mesh of the same cloth."""
     scene, trajectory = bared()
-    watch = watched(bones_of(scene, trajectory), trajectory)[1]
-    enough = watch.enough["upperarm02.R"]
+    watch = watched(bones_of(scene, trajectory), by("pb4u-wide", trajectory))[1]
+    garment_name, enough = watch.needs["upperarm02.R"]
+    assert garment_name == "longsleeve"
     assert enough is not None
     garment = scene.garments[0].garment
     # An upper arm is 3 to 5 cm from its axis to its skin; no more than eight times as many are named.
@@ -210,10 +230,28 @@ def test_the_triangles_that_would_hold_go_with_the_limb_and_the_edges() -> None:
     assert 0.03 < edges / (2.0 * np.sin(np.radians(11.0))) < 0.06 or enough == 100 * np.ceil(
         0.08 * garment.triangle_count
     )
-    said = watch.sentence("upperarm02.R", 1, "pb4u-wide", contact=True)
-    assert "Frame 1: upperarm02.R has come through the cloth" in said
-    assert f"--triangles {enough} or --arms-away 8" in said
-    watch.enough = {"foot.L": None}
-    assert "--model solver." in watch.sentence("foot.L", 3, "quick-solver", contact=True)
-    assert "slower" in watch.sentence("foot.L", 3, "solver", contact=True)
-    assert "leave out --contact off." in watch.sentence("foot.L", 3, "pb4u-wide", contact=False)
+    said: dict[str, int] = {}
+    assert watch.sentences(["upperarm02.R"], 1, said) == [
+        f"Frame 1: the right upper arm is through the longsleeve: try --triangles {enough} or --arms-away 8."
+    ]
+    assert watch.sentences(["upperarm02.R"], 2, said) == ["Frame 2: the right upper arm is through the longsleeve."]
+
+
+def test_a_warning_names_the_garment_the_limbs_and_one_number() -> None:
+    trajectory = worn()[1]
+    needs = {"upperleg01.L": ("trousers", 2100), "upperleg02.L": ("trousers", 2200), "foot.R": ("trousers", None)}
+
+    def sentences(model: str, **metadata: object) -> list[str]:
+        garments = [{"name": name} for name in ("tshirt", "trousers")]
+        watch = LimbWatch(bones_of(*worn()), by(model, trajectory, garments=garments, **metadata).header)
+        watch.needs = dict(needs)
+        return watch.sentences(list(needs), 0, {})
+
+    assert sentences("pb4u-light") == [
+        "Frame 0: the left thigh and the right foot are through the trousers: try --triangles trousers=2200."
+    ]
+    assert sentences("skinning") == []
+    assert sentences("solver", contact=False)[0].endswith("nothing holds it: leave out --contact off.")
+    needs = {"foot.L": ("trousers", None)}
+    assert "--model solver." in sentences("quick-solver")[0]
+    assert "slower" in sentences("solver")[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 SIDES: Mapping[str, tuple[str, str]] = {"anny": ("L", "R"), "smpl": ("left", "right")}
 """Words of the left and of the right side in the names of bones."""
@@ -28,3 +28,41 @@ LIMB_BONES: Mapping[str, Mapping[str, str]] = {
 
 ARM = re.compile("arm|elbow|wrist|(left|right)_shoulder")
 """In the names of an arm's bones, those between its joints too; Anny's shoulders are not swung out."""
+
+_PLAIN = {
+    "clavicle": "shoulder", "shoulder": "shoulder", "upperarm": "upper arm", "lowerarm": "forearm", "wrist": "wrist",
+    "metacarpal": "hand", "finger": "hand", "pelvis": "hip", "upperleg": "thigh", "lowerleg": "shin", "foot": "foot",
+    "toe": "toes", "toes": "toes", "spine": "trunk", "neck": "neck", "head": "head", "root": "trunk",
+}  # fmt: skip
+# SMPL names a bone by the joint that it begins at.
+_PLAIN_SMPL = {
+    "collar": "shoulder", "shoulder": "upper arm", "elbow": "forearm", "hip": "thigh", "knee": "shin", "ankle": "foot",
+    "foot": "toes", "index": "hand", "middle": "hand", "pinky": "hand", "ring": "hand", "thumb": "hand",
+}  # fmt: skip
+
+
+def plain_name(bone: str) -> str:
+    """What a bone is called in plain words, such as "left thigh"; its own name where it is none of those known.
+
+    Args:
+        bone: its name in Anny or in the SMPL family.
+    """
+    named = re.fullmatch(r"(?:(left|right)_)?([a-z]+)[\d-]*(?:\.([LR]))?", bone)
+    if named is None:
+        return bone
+    words = {**_PLAIN, **_PLAIN_SMPL} if named[1] else _PLAIN
+    side = named[1] or {"L": "left", "R": "right", None: ""}[named[3]]
+    return f"{side} {words[named[2]]}".strip() if named[2] in words else bone
+
+
+def plain_names(bones: Iterable[str], most: int = 4) -> str:
+    """Bones in plain words, each once, such as "the left thigh and the left shin".
+
+    Args:
+        bones: their names.
+        most: how many are named; of more, how many there are.
+    """
+    told = [f"the {name}" for name in dict.fromkeys(map(plain_name, bones))]
+    if len(told) > most:
+        told[most:] = [f"{len(told) - most} more"]
+    return " and ".join(filter(None, [", ".join(told[:-1]), told[-1]]))

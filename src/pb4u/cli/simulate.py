@@ -137,7 +137,7 @@ def _simulate(run: Run, asked: Outputs, targets: list[Path], view: View | None) 
     _export(trajectory, [target for target in targets if target is not file], file, view, asked.bones)
     if asked.json != "-":
         print(wrote(targets, trajectory.frame_count))
-    diverged, through = None, None
+    diverged, through, through_cloth = None, None, None
     if asked.json:
         from pb4u.measures.run_report import run_report
 
@@ -153,11 +153,15 @@ def _simulate(run: Run, asked: Outputs, targets: list[Path], view: View | None) 
 
         diverged = first_diverged(trajectory, skinned_centres(scene, trajectory))
         through = limbs_through_cloth(*watched.over(trajectory))
-    _say_how_it_ended(simulator.name, trajectory.frame_count, record.failed_at, diverged, through)
+    if through:
+        from pb4u.measures.limbs import limbs_sentence
+
+        through_cloth = limbs_sentence(through, trajectory)
+    _say_how_it_ended(simulator.name, trajectory.frame_count, record.failed_at, diverged, through_cloth)
 
 
 def _say_how_it_ended(
-    model: str, frames: int, failed_at: int | None, diverged: int | None, through: list[dict[str, Any]] | None
+    model: str, frames: int, failed_at: int | None, diverged: int | None, through_cloth: str | None
 ) -> None:
     """Refuse a run that was lost, and warn where it diverged or limbs came through cloth."""
     if failed_at is not None:
@@ -176,10 +180,8 @@ def _say_how_it_ended(
             f"The run diverged at frame {diverged}: the cloth is stretched by more than 60 %, or over 0.5 m from where "
             f"the body carries it; {_advice(model)}."
         )
-    if through:
-        from pb4u.measures.limbs import limbs_sentence
-
-        warn(f"{limbs_sentence(through, frames)}")
+    if through_cloth:
+        warn(through_cloth)
 
 
 def _reference(path: Path | None, run: Run, simulator: Simulator, scene: Scene) -> Trajectory | None:
@@ -221,7 +223,7 @@ def _trajectory(
         expected = scene.total_frames, each * (slowness() if each * scene.total_frames > _WORTH_MEASURING else 1.0)
         told = opened.enter_context(announced(f"{count:,} triangles, {simulator.name}", "step", say, expected=expected))
         header = simulator.header(scene)
-        watched = _LimbWarnings(scene, header, simulator.name, run)
+        watched = _LimbWarnings(scene, header, run)
         if live is None:
             return roll_out(run, simulator, scene, file, record, told, kept, watched), watched
         caches = opened.enter_context(LiveCaches(live, header, run.fps, run.written_frames))
@@ -240,21 +242,23 @@ def _trajectory(
 class _LimbWarnings:
     """Warns of each limb that comes through cloth in the frame in which it does."""
 
-    def __init__(self, scene: Scene, header: TrajectoryHeader, model: str, run: Run) -> None:
+    def __init__(self, scene: Scene, header: TrajectoryHeader, run: Run) -> None:
         from pb4u.measures.limbs import Bones, LimbWatch
 
-        self.scene, self.model, self.run = scene, model, run
+        self.scene, self.run = scene, run
         self.watch = LimbWatch(Bones.of(scene, scene.frames, scene.fps), header)
         self.rows: list[np.ndarray] = []
+        self.said: dict[str, int] = {}
 
     def __call__(self, frame: Frame) -> None:
-        known, number = set(self.watch.enough), len(self.rows)
+        known, number = set(self.watch.needs), len(self.rows)
         self.rows.append(self.watch.through(number, frame.positions, frame.body_positions))
-        for bone in self.watch.enough:
-            if bone not in known:
-                # Named as it will be written, at the rate that was asked for.
-                written = round(number * self.run.fps / self.scene.fps)
-                warn(self.watch.sentence(bone, written, self.model, self.run.contact))
+        # Named as it will be written, at the rate that was asked for.
+        written = round(number * self.run.fps / self.scene.fps)
+        for sentence in self.watch.sentences(
+            [bone for bone in self.watch.needs if bone not in known], written, self.said
+        ):
+            warn(sentence)
 
     def over(self, trajectory: Trajectory) -> tuple[np.ndarray, LimbWatch]:
         """Which bones are through cloth in the frames of `trajectory`, as `watched` gives it."""

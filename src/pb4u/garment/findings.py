@@ -8,6 +8,7 @@ from enum import Enum
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
+from pb4u.body.joint_names import plain_names
 from pb4u.collision.crossings import self_crossings
 from pb4u.garment.coarseness import Coarseness
 from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, is_inside_out
@@ -159,7 +160,7 @@ def limb_findings(vertices: np.ndarray, faces: np.ndarray, body: ShapedBody) -> 
     limbs = limbs_outside(vertices, faces, body)
     if not limbs:
         return []
-    sentence = f"{', '.join(limbs[:4])} of the body at rest go through it, not inside it."
+    sentence = f"{plain_names(limbs).capitalize()} of the body at rest: through the cloth, not inside it."
     fix = "pose it around them where it was made; simulation pushes it out where a push is enough, and refuses it else"
     return [Finding("limb-outside", Severity.WARNING, sentence, fix)]
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
+from pb4u.body.joint_names import plain_names
 from pb4u.body.limb_bones import limb_bones
 from pb4u.collision.crossings import segments_through_faces
 from pb4u.errors import InputError, warn
@@ -55,12 +56,9 @@ def with_limbs_inside(garment: Garment, body: ShapedBody | AnimatedBody) -> Garm
     pushed = push_out(garment.vertices, garment.topology, rest)
     if left := limbs_outside(pushed, garment.faces, body):
         raise InputError(
-            f"{garment.name}: {', '.join(left[:4])} of the body {body.name} at rest go through it, not inside it; pose "
+            f"{garment.name}: through it, not inside it, is {plain_names(left)} of the body {body.name} at rest; pose "
             "its sleeves and legs around the limbs where it was made, or take the body that it was made for."
         )
     farthest = 100.0 * float(np.linalg.norm(pushed - garment.vertices, axis=1).max())
-    sentence = (
-        f"{garment.name}: {', '.join(limbs[:4])} went through it at rest; it was pushed out, by {farthest:.1f} cm."
-    )
-    warn(sentence)
+    warn(f"{garment.name}: {plain_names(limbs)} went through it at rest; it was pushed out, by {farthest:.1f} cm.")
     return replace(garment, vertices=pushed)

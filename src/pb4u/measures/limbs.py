@@ -9,7 +9,7 @@ and not where the body is inside itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,10 +18,12 @@ import numpy as np
 import torch
 
 from pb4u.body.body_model import PosedBody
-from pb4u.body.joint_names import ARM
+from pb4u.body.joint_names import ARM, plain_name, plain_names
 from pb4u.body.limb_bones import limb_bones
 from pb4u.collision.crossings import crossings, segments_through_faces
 from pb4u.collision.nearest_surface import TriangleSurface
+from pb4u.garment.coarseness import Coarseness
+from pb4u.garment.fit import RestBody
 from pb4u.geometry.triangle_mesh import area_weighted_normals, face_areas, vertex_areas
 from pb4u.measures.overlaps import overlapping_faces
 from pb4u.physics.contact.skin_cover import SkinCover
@@ -51,11 +53,13 @@ class Bones:
         names: name of each bone.
         ends: (frames, bones, 2, 3) its joint and the next [m].
         skin: (body vertices,) int64 the bone that moves each most; -1 where that is none of these.
+        scene: whose bodies they are, if it is known.
     """
 
     names: tuple[str, ...]
     ends: np.ndarray
     skin: np.ndarray
+    scene: Scene | None = None
 
     @staticmethod
     def of(scene: Scene, frames: int, fps: float) -> Bones:
@@ -81,7 +85,21 @@ class Bones:
             skin.append(np.where(nearest < 0, -1, nearest + len(names)))
             names += bones
             ends.append(between[:, segments])
-        return Bones(tuple(names), np.concatenate(ends, axis=1), np.concatenate(skin))
+        return Bones(tuple(names), np.concatenate(ends, axis=1), np.concatenate(skin), scene)
+
+    @cached_property
+    def asked_at_rest(self) -> dict[str, int]:
+        """Name of a garment -> triangles, for those that are coarse for a body at rest."""
+        asked: dict[str, int] = {}
+        if self.scene is None:
+            return asked
+        bodies = [RestBody.of(each.body) for each in self.scene.colliders if isinstance(each, PosedBody)]
+        for worn in (dressed.garment for dressed in self.scene.garments):
+            for body in bodies:
+                coarse = Coarseness.of(worn.vertices, worn.faces, body)
+                if coarse.is_few:
+                    asked[worn.name] = max(coarse.enough, asked.get(worn.name, 0))
+        return asked
 
 
 class LimbWatch:
@@ -92,13 +110,13 @@ class LimbWatch:
         header: of the trajectory.
 
     Attributes:
-        enough: name of a bone -> triangles of the garment that would hold it, for those found; None where it has as
-            many already.
+        needs: name of a bone -> garment that it is through, for those found, and triangles of it that would hold it;
+            None where it has as many already.
     """
 
     def __init__(self, bones: Bones, header: TrajectoryHeader) -> None:
         self.bones, self.header = bones, header
-        self.enough: dict[str, int | None] = {}
+        self.needs: dict[str, tuple[str, int | None]] = {}
         self._faces = np.array(header.body_faces)
         self._touched = self._faces[np.array(header.body_contact)[self._faces].all(axis=1)]
 
@@ -139,9 +157,8 @@ class LimbWatch:
             found |= bare
             pairs = np.concatenate([pairs, np.column_stack([limb, crossing[:, 0]])[bare[limb] & (limb >= 0)]])
         for bone in np.flatnonzero(found).tolist():
-            if self.bones.names[bone] not in self.enough:
-                enough = self._enough(bone, ends, body, pairs[pairs[:, 0] == bone, 1])
-                self.enough[self.bones.names[bone]] = enough
+            if self.bones.names[bone] not in self.needs:
+                self.needs[self.bones.names[bone]] = self._needed(bone, ends, body, pairs[pairs[:, 0] == bone, 1])
         return found
 
     def _bare(self, cloth: np.ndarray, body: np.ndarray, limbs: np.ndarray) -> np.ndarray:
@@ -160,8 +177,8 @@ class LimbWatch:
         bare: np.ndarray = np.bincount(self.bones.skin[shown], areas[shown], bones) > _BARE
         return bare
 
-    def _enough(self, bone: int, ends: np.ndarray, body: np.ndarray, faces: np.ndarray) -> int | None:
-        """Triangles at which the edges that a limb came through would be short enough to go round it."""
+    def _needed(self, bone: int, ends: np.ndarray, body: np.ndarray, faces: np.ndarray) -> tuple[str, int | None]:
+        """Garment that a limb came through, and triangles at which its edges are short enough to go round the limb."""
         start, way = ends[bone, 0], ends[bone, 1] - ends[bone, 0]
         # Bones that begin at one joint share its skin, which counts as that of the first.
         first = (ends[:, 0] == start).all(axis=1).argmax()
@@ -172,30 +189,52 @@ class LimbWatch:
         rest = np.asarray(self.header.rest_positions, dtype=np.float64)
         area = float(face_areas(rest, self.header.faces[faces]).mean())
         edge, holds = math.sqrt(4.0 * area / math.sqrt(3.0)), 2.0 * radius * math.sin(0.5 * _SPANNED)
-        worn = next(g["triangles"] for g in self.header.garments if g["triangles"][0] <= faces[0] < g["triangles"][1])
-        count = worn[1] - worn[0]
+        worn = next(g for g in self.header.garments if g["triangles"][0] <= faces[0] < g["triangles"][1])
+        count = worn["triangles"][1] - worn["triangles"][0]
         enough = 100 * math.ceil(count * min((edge / holds) ** 2, _MOST_FINER) / 100)
-        return enough if enough > count else None
+        enough = max(enough, self.bones.asked_at_rest.get(worn["name"], 0))
+        return worn["name"], enough if enough > count else None
 
-    def sentence(self, bone: str, frame: int, model: str, contact: bool) -> str:
-        """What is said of a limb when it is found first.
+    def sentences(self, bones: Sequence[str], frame: int, said: dict[str, int]) -> list[str]:
+        """What is said of limbs when they are found first, one sentence a garment; none of skinning.
 
         Args:
-            bone: its name, one of `enough`.
+            bones: their names, of `needs`.
             frame: number of the frame.
-            model: that simulates.
-            contact: whether the run holds cloth off bodies.
+            said: name of a garment -> triangles that are advised already; what is said here is added.
         """
-        enough = self.enough[bone]
-        if not contact:
-            return f"Frame {frame}: {bone} has come through the cloth; nothing holds it: leave out --contact off."
-        if enough is not None:
-            why, way = "its triangles are too large for it", f"--triangles {enough}"
-        else:
-            why, way = "its triangles are small enough for it", "--model solver"
-            way = "a slower motion or more --fps" if model == "solver" else way
-        arms = " or --arms-away 8" if ARM.search(bone) else ""
-        return f"Frame {frame}: {bone} has come through the cloth; {why}: try {way}{arms}."
+        if not _has_physics(self.header):
+            return []
+        sentences, contact = list[str](), self.header.metadata.get("contact", True)
+        for garment in dict.fromkeys(self.needs[bone][0] for bone in bones):
+            own = [bone for bone in bones if self.needs[bone][0] == garment]
+            advice = self._advice(own, garment, said) if contact else "nothing holds it: leave out --contact off"
+            verb = "are" if len({plain_name(bone) for bone in own}) > 1 else "is"
+            through = f"Frame {frame}: {plain_names(own)} {verb} through the {garment}"
+            sentences.append(f"{through}{': ' if advice else ''}{advice}.")
+        return sentences
+
+    def _advice(self, bones: Sequence[str], garment: str, said: dict[str, int]) -> str:
+        """What would hold limbs inside a garment; nothing where that was said."""
+        enough = max(self.needs[bone][1] or 0 for bone in bones)
+        arms = " or --arms-away 8" if any(map(ARM.search, bones)) else ""
+        if garment in said and enough <= said[garment]:
+            return ""
+        said[garment] = enough
+        if enough:
+            return f"try {_triangles_flag({garment: enough}, len(self.header.garments))}{arms}"
+        is_solver = self.header.metadata.get("model") == "solver"
+        way = "a slower motion or more --fps" if is_solver else "--model solver"
+        return f"its triangles are small enough, so try {way}{arms}"
+
+
+def _has_physics(header: TrajectoryHeader) -> bool:
+    return bool(header.metadata.get("model") != "skinning")
+
+
+def _triangles_flag(enough: Mapping[str, int], garments: int) -> str:
+    """The flags that ask for triangles of garments by name; the only one of a scene needs no name."""
+    return " ".join(f"--triangles {f'{name}=' if garments > 1 else ''}{count}" for name, count in enough.items())
 
 
 def watched(bones: Bones, trajectory: Trajectory) -> tuple[np.ndarray, LimbWatch]:
@@ -211,8 +250,8 @@ def watched(bones: Bones, trajectory: Trajectory) -> tuple[np.ndarray, LimbWatch
 
 
 def limbs_through_cloth(crossed: np.ndarray, watch: LimbWatch) -> list[dict[str, Any]]:
-    """What has gone through cloth, the longest first: name of the `bone`, `first_frame`, number of `frames`, and the
-    `triangles` of its garment that would hold it, or None where it has as many.
+    """What has gone through cloth, the longest first: name of the `bone`, `first_frame`, number of `frames`, the
+    `garment`, and the `triangles` of it that would hold the bone, or None where it has as many.
 
     Args:
         crossed: (frames, bones) bool as `watched` gives it.
@@ -226,7 +265,7 @@ def limbs_through_cloth(crossed: np.ndarray, watch: LimbWatch) -> list[dict[str,
             "bone": name,
             "first_frame": int(rows.argmax()),
             "frames": int(rows.sum()),
-            "triangles": watch.enough.get(name),
+            **dict(zip(("garment", "triangles"), watch.needs.get(name, (None, None)), strict=True)),
         }
         for name, rows in by_name.items()
         if rows.any()
@@ -234,22 +273,31 @@ def limbs_through_cloth(crossed: np.ndarray, watch: LimbWatch) -> list[dict[str,
     return sorted(found, key=lambda each: -each["frames"])
 
 
-def limbs_sentence(found: Sequence[dict[str, Any]], frames: int) -> str | None:
+def limbs_sentence(found: Sequence[dict[str, Any]], trajectory: Trajectory) -> str | None:
     """What has gone through cloth in one sentence; None for nothing.
 
     Args:
         found: as `limbs_through_cloth`.
-        frames: number of frames of the trajectory.
+        trajectory: in which it was found.
     """
     if not found:
         return None
-    first = min(each["first_frame"] for each in found)
-    told = ", ".join(f"{each['bone']} ({each['frames']})" for each in found[:4])
-    more = f" and {len(found) - 4} more" if len(found) > 4 else ""
+    first, frames = min(each["first_frame"] for each in found), trajectory.frame_count
+    longest: dict[str, int] = {}
+    for each in found:
+        longest.setdefault(plain_name(each["bone"]), each["frames"])
+    told = ", ".join(f"the {name} ({count})" for name, count in list(longest.items())[:4])
+    more = f" and {len(longest) - 4} more" if len(longest) > 4 else ""
+    through = f"Limbs have gone through the cloth from frame {first} on, in so many of {frames} frames: {told}{more}"
+    if not _has_physics(trajectory.header):
+        return f"{through}; skinning has no physics, --model quick-solver has."
+    if not trajectory.header.metadata.get("contact", True):
+        return f"{through}; nothing holds the cloth off: leave out --contact off."
+    enough: dict[str, int] = {}
+    for each in found:
+        if each["triangles"]:
+            enough[each["garment"]] = max(enough.get(each["garment"], 0), each["triangles"])
+    flag = _triangles_flag(enough, len(trajectory.header.garments))
+    finer = f"; {flag} makes the cloth fine enough for them" if enough else ""
     arms = "; --arms-away 8 holds arms off the body" if any(ARM.search(each["bone"]) for each in found) else ""
-    enough = max((each["triangles"] or 0 for each in found), default=0)
-    finer = f"; --triangles {enough} makes the cloth fine enough for them" if enough else ""
-    return (
-        f"Limbs have gone through the cloth from frame {first} on; bones, with the number of frames of "
-        f"{frames}: {told}{more}{finer}{arms}."
-    )
+    return f"{through}{finer}{arms}."

@@ -58,7 +58,7 @@ def run_report(
         measured["frames_below_reference"] = sum(height < -BEATEN_BY for height in heights)
     if reference is not None:
         measured["metrics"]["distance_to_reference"] = series(distance_to(trajectory, reference))
-    said = limbs_sentence(measured.get("limbs_through_cloth", ()), trajectory.frame_count)
+    said = limbs_sentence(measured.get("limbs_through_cloth", ()), trajectory)
     facts = run_facts(trajectory.header, simulator, scene, record) | {"frames": trajectory.frame_count}
     return {**facts, **measured, "notes": [*scene.notes, *([said] if said else [])]}
 
