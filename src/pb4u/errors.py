@@ -122,16 +122,21 @@ class InputWarning(UserWarning):
     """An input is unusual but usable; the message is one plain sentence."""
 
 
-def warn(sentence: str) -> None:
+class InputNote(InputWarning):
+    """Something that was done with an input, which needs no mending."""
+
+
+def warn(sentence: str, kind: type[InputWarning] = InputWarning) -> None:
     """Warn of an input, as an `InputWarning` at the line outside of this package that gave it.
 
     Args:
         sentence: one plain sentence.
+        kind: of the warning.
     """
     depth, frame = 2, sys._getframe(1)
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("pb4u."):
         depth, frame = depth + 1, frame.f_back
-    warnings.warn(sentence, InputWarning, depth)
+    warnings.warn(sentence, kind, depth)
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") -> InputError:

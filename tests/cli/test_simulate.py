@@ -134,6 +134,17 @@ def test_tells_the_files_that_it_wrote_when_they_are_there(
     assert pb4u(*flags, "--garment", "tshrt").out == ""
 
 
+def test_what_was_done_with_an_input_is_a_note_and_no_warning(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_simulation, "roll_out", stopped)
+    assert pb4u("assets", "write", "skirt", tmp_path / "skirt.obj", "--triangles", 1500).code == 0
+    flags = ("simulate", "--model", "skinning", "--frames", 1, "--out", tmp_path / "a.npz")
+    said = pb4u(*flags, "--garment", tmp_path / "skirt.obj").err
+    assert "pb4u: note: skirt: its waistband, " in said
+    assert "warning: skirt: its waistband" not in said
+
+
 def test_cuda_is_no_use_to_what_runs_on_the_processor(
     pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

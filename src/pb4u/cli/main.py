@@ -8,7 +8,7 @@ import sys
 import traceback
 import warnings
 
-from pb4u.errors import InputWarning, Interrupted, interrupt_behind, sentence_on
+from pb4u.errors import InputNote, InputWarning, Interrupted, interrupt_behind, sentence_on
 
 _LONGEST = 1500
 """Characters that a refusal has at most: a screen of a terminal."""
@@ -16,7 +16,7 @@ _LONGEST = 1500
 
 def _one_line_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
     if issubclass(category, InputWarning):
-        print(f"pb4u: warning: {message}", file=sys.stderr)
+        print(f"pb4u: {'note' if issubclass(category, InputNote) else 'warning'}: {message}", file=sys.stderr)
 
 
 def main() -> None:

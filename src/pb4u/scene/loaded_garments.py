@@ -12,7 +12,7 @@ import numpy as np
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.collision.remeshing import remesh
-from pb4u.errors import InputError, warn
+from pb4u.errors import InputError, InputNote, warn
 from pb4u.garment.diagnosis import require_fine, require_near, require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.fit import RestBody
@@ -143,7 +143,8 @@ def _held(garment: Garment, body: ShapedBody | VertexSequence) -> tuple[Garment,
         return garment, support
     warn(
         f"{garment.name}: its {support.name}, {int(support.held.sum())} vertices, was found and holds it; --pins "
-        "none lets it go."
+        "none lets it go.",
+        InputNote,
     )
     return garment.with_pins(support.held), support
 

@@ -14,7 +14,7 @@ from pb4u.body.character import Character, PosedCharacter
 from pb4u.body.library import load_body
 from pb4u.body.smpl import read_contact
 from pb4u.body.vertex_sequence import VertexSequence
-from pb4u.errors import InputError, warn
+from pb4u.errors import InputError, InputNote, warn
 from pb4u.motion.character_lead_in import character_lead_in
 from pb4u.motion.lead_in import arms_held_off, lead_in as prepend_lead_in
 from pb4u.motion.library import load_motion
@@ -119,7 +119,7 @@ def _perform(body: ShapedBody, run: Run) -> Performance:
     """A body with bones performs a motion; a character its own clip, where no motion is given."""
     if isinstance(body, Character):
         for note in body.notes:
-            warn(note)
+            warn(note, InputNote)
         if run.motion is None and (body.clip is not None or not body.is_human):
             return _perform_clip(body, run)
         if not body.is_human:
@@ -133,7 +133,7 @@ def _perform(body: ShapedBody, run: Run) -> Performance:
     poses, more = clip.perform(body, run.fps, frames)
     notes = (*clip.notes, *more)
     for note in notes:
-        warn(note)
+        warn(note, InputNote)
     led = prepend_lead_in(poses, body, run.led_frames)
     if (arms := clip.arm_clearance(body)) is not None:
         led = arms_held_off(led, arms, run.led_frames)

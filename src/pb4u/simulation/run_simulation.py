@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pb4u.collision.crossings import self_crossings
-from pb4u.errors import InputError, Interrupted, warn
+from pb4u.errors import InputError, InputNote, Interrupted, warn
 from pb4u.export.selection import resampled, resampled_count
 from pb4u.garment.tangles import untangled_start
 from pb4u.progress import Progress, no_progress, progress_or_bar
@@ -73,7 +73,7 @@ def simulated_fps(run: Run, simulator: Simulator) -> float:
     simulated = simulator.fps or run.fps
     if not math.isclose(simulated, run.fps):
         sentence = f"{simulator.name} runs at {simulated:g} frames per second; the result is resampled to {run.fps:g}."
-        warn(sentence)
+        warn(sentence, InputNote)
     return simulated
 
 
