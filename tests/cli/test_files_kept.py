@@ -37,6 +37,7 @@ lock.acquire()
 print("held", flush=True)
 input()
 """
+KEPT_FOR = ", for `pb4u view` and `pb4u convert`; `pb4u simulate` does not go on from there."
 FRAMES = ("--model", "skinning", "--lead-in", 0, "--frames", 2)
 
 
@@ -250,7 +251,7 @@ def test_an_interrupt_in_compiled_code_is_one(pb4u: Callable, tmp_path: Path, mo
     monkeypatch.setattr("pb4u.simulation.models.simulator_of", lambda _: InCompiledCode())
     ended = pb4u("simulate", "--triangles", 1000, "--lead-in", 0, "--frames", 9, "--out", "a.npz")
     assert ended.code == 143
-    assert ended.err.splitlines()[-1] == "pb4u: interrupted; the first 4 frames are in a.interrupted.npz."
+    assert ended.err.splitlines()[-1] == f"pb4u: interrupted; the first 4 frames are in a.interrupted.npz{KEPT_FOR}"
 
     def broken(*_: object) -> None:
         raise SystemError("before the first frame") from Interrupted(signal=15)
@@ -292,7 +293,7 @@ def test_a_signal_leaves_the_frames(
     monkeypatch.setattr("pb4u.simulation.models.simulator_of", lambda _: Signalled())
     ended = pb4u("simulate", "--triangles", 1000, "--lead-in", 0, "--frames", 9, "--out", "a.npz")
     assert ended.code == 128 + number
-    assert ended.err.splitlines()[-1] == "pb4u: interrupted; the first 4 frames are in a.interrupted.npz."
+    assert ended.err.splitlines()[-1] == f"pb4u: interrupted; the first 4 frames are in a.interrupted.npz{KEPT_FOR}"
     assert [p.name for p in tmp_path.iterdir()] == ["a.interrupted.npz"]
 
 
@@ -309,7 +310,7 @@ def test_a_process_that_is_ended_leaves_the_frames_and_nothing_else(tmp_path: Pa
     assert run.returncode == 128 + number
     kept = Trajectory.open(tmp_path / "a.interrupted.npz")
     assert said.splitlines()[-1] == (
-        f"pb4u: interrupted; the first {kept.frame_count} frames are in a.interrupted.npz."
+        f"pb4u: interrupted; the first {kept.frame_count} frames are in a.interrupted.npz{KEPT_FOR}"
     )
     assert [p.name for p in tmp_path.iterdir()] == ["a.interrupted.npz"]
 

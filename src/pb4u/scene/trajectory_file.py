@@ -262,13 +262,14 @@ class TrajectoryWriter:
 
 
 def kept_sentence(frames: int, path: Path) -> str:
-    """What is kept of an interrupted run: the first `frames` frames, in the file `path`.
+    """What is kept of an interrupted run, the first `frames` frames in the file `path`, and what it is for.
 
     Args:
         frames: number of frames.
         path: of the file.
     """
-    return f"the first {'frame is' if frames == 1 else f'{frames} frames are'} in {path}"
+    kept = f"the first {'frame is' if frames == 1 else f'{frames} frames are'} in {path}"
+    return f"{kept}, for `pb4u view` and `pb4u convert`; `pb4u simulate` does not go on from there"
 
 
 def interrupted_path(path: Path) -> Path:
