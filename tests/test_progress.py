@@ -69,6 +69,12 @@ def test_work_that_gets_slower_is_estimated_again() -> None:
     assert late.startswith("Slower than at first: ")
 
 
+def test_slower_work_that_stays_within_what_was_said_is_not_told_of() -> None:
+    # 200 steps of 4 s were expected; they take 0.3 s, and from the fiftieth on 2 s.
+    (first,) = told_of(lambda k: 0.3 if k <= 50 else 2.0, 200, expected=(200, 4.0))
+    assert first.startswith("200 steps take about 13 minutes")
+
+
 @pytest.mark.parametrize(("each", "total"), [(0.1, 300), (10.0, 4), (30.0, 3)])
 def test_short_work_is_not(each: float, total: int) -> None:
     assert told_of(lambda _: each, total) == []

@@ -100,6 +100,7 @@ class Estimate:
         part: what a part is called, such as "step".
         alike: whether parts take about as long as each other: the quickest then counts, and else the mean of more.
         expected: parts in all and the time of each [s] by experience, said at once where it is long; (0, 0): unknown.
+        whole: what all parts are, as the beginning of the sentence; by default their number.
         clock: the time [s].
     """
 
@@ -109,16 +110,18 @@ class Estimate:
         part: str,
         alike: bool = True,
         expected: tuple[int, float] = (0, 0.0),
+        whole: str = "",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         total, pace = expected
         self._expected = pace if total * pace > _LONG else None
         if self._expected:
             say(
-                f"{total} {part}s take about {format_duration(total * pace)} by experience, at the speed of this "
-                "machine; measured again after the first ones."
+                f"{whole or f'{total} {part}s'} take about {format_duration(total * pace)} by experience, at the speed "
+                "of this machine; measured again after the first ones."
             )
         self._say, self._part, self._alike, self._clock = say, part, alike, clock
+        self._began, self._said = clock(), total * pace if self._expected else 0.0
         self._first: tuple[float, int] | None = None
         self._last, self._paces = (0.0, 0), list[float]()
         self._each: float | None = None
@@ -150,7 +153,10 @@ class Estimate:
         self._each = each
         left = each * (total - done)
         is_expected = not again and self._expected and self._expected / _NEAR < each < self._expected * _NEAR
-        if left > _LONG and not is_expected:
+        # What was said may have been too much before, and still hold.
+        whole = now - self._began + left
+        if left > _LONG and not is_expected and (not again or whole > self._said):
+            self._said = whole
             self._say(
                 f"{'Slower than at first: ' if again else ''}{total - done} more {self._part}s take about "
                 f"{format_duration(left)}, {each:.2g} s each."
@@ -171,7 +177,12 @@ def format_duration(seconds: float) -> str:
 
 @contextmanager
 def announced(
-    label: str, part: str, say: Callable[[str], None], alike: bool = True, expected: tuple[int, float] = (0, 0.0)
+    label: str,
+    part: str,
+    say: Callable[[str], None],
+    alike: bool = True,
+    expected: tuple[int, float] = (0, 0.0),
+    whole: str = "",
 ) -> Iterator[Progress]:
     """A bar with the time left, and of work of over a minute a sentence that says how long it takes.
 
@@ -181,8 +192,9 @@ def announced(
         say: called with the sentence.
         alike: whether parts take about as long as each other.
         expected: parts in all and the time of each [s], as `Estimate` takes it.
+        whole: what all parts are, as `Estimate` takes it.
     """
-    estimate = Estimate(say, part, alike, expected)
+    estimate = Estimate(say, part, alike, expected, whole)
     with progress_bar(label) as bar:
 
         def told(done: int, total: int) -> None:

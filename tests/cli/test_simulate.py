@@ -88,7 +88,8 @@ def test_the_time_of_a_long_run_is_said_before_its_first_step(
     monkeypatch.setattr(run_simulation, "roll_out", stopped)
     monkeypatch.setattr("pb4u.cli.simulate.slowness", lambda: 1.0)
     flags = ("simulate", *SMALL, "--lead-in", 30, "--out", tmp_path / "a.npz", "--model")
-    assert "1030 steps take about" in pb4u(*flags, "solver", "--frames", 1000).err
+    said = pb4u(*flags, "solver", "--frames", 1000).err
+    assert "30 frames of lead-in (--lead-in) and 1000 to write take about" in said
     assert "take about" not in pb4u(*flags, "skinning", "--frames", 1000).err
     assert "take about" not in pb4u(*flags, "solver", "--frames", 10).err
 

@@ -221,7 +221,9 @@ def _trajectory(
     with ExitStack() as opened:
         each = count * _PACES.get(simulator.name, _PACE)
         expected = scene.total_frames, each * (slowness() if each * scene.total_frames > _WORTH_MEASURING else 1.0)
-        told = opened.enter_context(announced(f"{count:,} triangles, {simulator.name}", "step", say, expected=expected))
+        label = f"{count:,} triangles, {simulator.name}"
+        lead_in = f"{scene.lead_in} frames of lead-in (--lead-in) and {scene.frames} to write" if scene.lead_in else ""
+        told = opened.enter_context(announced(label, "step", say, expected=expected, whole=lead_in))
         header = simulator.header(scene)
         watched = _LimbWarnings(scene, header, run)
         if live is None:
