@@ -146,6 +146,13 @@ def test_what_was_done_with_an_input_is_a_note_and_no_warning(
     assert "warning: skirt: its waistband" not in said
 
 
+def test_a_result_of_another_scene_is_replaced_with_a_note(pb4u: Callable, tmp_path: Path) -> None:
+    flags = ("simulate", *SMALL, "--out", tmp_path / "a.npz", "--frames")
+    (tmp_path / "a.npz").write_bytes(b"no trajectory")
+    assert [pb4u(*flags, 2).err.count("note: ") for _ in range(2)] == [0, 0]
+    assert "a.npz holds another scene (tshirt, walk, 2 frames) and will be replaced" in pb4u(*flags, 3).err
+
+
 def test_cuda_is_no_use_to_what_runs_on_the_processor(
     pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

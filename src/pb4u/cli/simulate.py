@@ -215,7 +215,7 @@ def _trajectory(
 ) -> tuple[Trajectory, _LimbWarnings]:
     """Simulate into `file`, else into memory, of which an interrupt leaves what there is in `kept`."""
     from pb4u.export.live_caches import LiveCaches
-    from pb4u.simulation.run_simulation import roll_out
+    from pb4u.simulation.run_simulation import frame_count, roll_out
 
     count = sum(dressed.garment.triangle_count for dressed in scene.garments)
     with ExitStack() as opened:
@@ -225,6 +225,8 @@ def _trajectory(
         lead_in = f"{scene.lead_in} frames of lead-in (--lead-in) and {scene.frames} to write" if scene.lead_in else ""
         told = opened.enter_context(announced(label, "step", say, expected=expected, whole=lead_in))
         header = simulator.header(scene)
+        if file is not None and file.exists():
+            _say_what_is_replaced(file, header, frame_count(run, scene))
         watched = _LimbWarnings(scene, header, run)
         if live is None:
             return roll_out(run, simulator, scene, file, record, told, kept, watched), watched
@@ -239,6 +241,23 @@ def _trajectory(
             watched(frame)
 
         return roll_out(run, simulator, scene, file, record, stepped, kept, seen), watched
+
+
+def _say_what_is_replaced(file: Path, header: TrajectoryHeader, frames: int) -> None:
+    """Say so where a trajectory of another scene will be written over."""
+    from pb4u.scene.trajectory import Trajectory
+
+    try:
+        old = Trajectory.open(file)
+    except InputError:  # another kind of file, which nobody asked about
+        return
+
+    def told(of: TrajectoryHeader, count: int) -> str:
+        return f"{' + '.join(each['name'] for each in of.garments)}, {of.metadata.get('motion')}, {count} frames"
+
+    before, after = told(old.header, old.frame_count), told(header, frames)
+    if before != after:
+        say(f"note: {file} holds another scene ({before}) and will be replaced by this one ({after}).")
 
 
 class _LimbWarnings:
