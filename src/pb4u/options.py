@@ -111,9 +111,22 @@ def require_fitting(record: Any) -> None:
     """
     kind: type = type(record)
     for entry in described(kind).values():
-        value = getattr(record, entry.name)
-        if not (value is None and entry.optional) and not _fits(entry, value):
-            raise InputError(f"{entry.name} must be {_wanted(entry)}, not {value!r}.")
+        require_value(entry, getattr(record, entry.name), entry.name)
+
+
+def require_value(entry: Entry, value: object, name: str) -> None:
+    """Refuse a value of a wrong kind or out of range.
+
+    Args:
+        entry: the field.
+        value: for it.
+        name: what the user calls the field.
+
+    Raises:
+        InputError: the value does not fit.
+    """
+    if not (value is None and entry.optional) and not _fits(entry, value):
+        raise InputError(f"{name} must be {_wanted(entry)}, not {value!r}.")
 
 
 def _fits(entry: Entry, value: object) -> bool:

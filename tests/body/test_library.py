@@ -51,3 +51,10 @@ def test_shape_parameters_are_validated(tmp_path: Path) -> None:
     write_vertex_sequence(tmp_path / "moving.npz", vertices, np.zeros((1, 3), dtype=np.int64), 30.0)
     with pytest.raises(InputError, match="without shape parameters"):
         load_body(tmp_path / "moving.npz", {"height": 0.5})
+
+
+def test_a_body_whose_extra_is_not_installed_is_not_offered(monkeypatch: pytest.MonkeyPatch) -> None:
+    for there, names in ((None, "woman, man"), (object(), "woman, man, anny")):
+        monkeypatch.setattr("pb4u.body.library.find_spec", lambda _, there=there: there)
+        with pytest.raises(InputError, match=f"did you mean woman\\? There are {names}\\."):
+            load_body("womn")

@@ -87,6 +87,7 @@ def test_no_flag_writes_over_what_is_read(files: Path, pb4u: Callable, arguments
     ended = pb4u(*arguments)
     assert ended.code == 1
     assert f"would overwrite {kept}, which is read" in ended.err
+    assert ("OUT t.npz would" in ended.err) is ("--every" in arguments), "convert has no --out"
     assert {file: file.read_bytes() for file in files.iterdir()} == before
 
 

@@ -367,9 +367,10 @@ def test_a_flag_that_would_do_nothing_is_refused(pb4u: Callable, tmp_path: Path,
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (("--propagation-steps", -1), "propagation_steps must be a whole number from 1 to 500"),
+        (("--propagation-steps", -1), "--propagation-steps must be a whole number from 1 to 500"),
         (("--refine", 99999999999), "from 0 to 10,000"),
-        (("--passes", 0), "passes must be a whole number from 1 to 1,000"),
+        (("--frames", 0), "--frames must be a whole number, 1 or more, not 0."),
+        (("--passes", 0), "--passes must be a whole number from 1 to 1,000"),
         (("--passes", 1000000), "from 1 to 1,000"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import NamedTuple
@@ -130,7 +131,7 @@ def _built_in(name: str, shape: tuple[tuple[str, float], ...]) -> ShapedBody:
 
 
 def _read(path: Path) -> BodyModel | VertexSequence:
-    suffix, names = path.suffix.lower(), (*BUILT_IN, *_MODELS)
+    suffix, names = path.suffix.lower(), (*BUILT_IN, *(each for each in _MODELS if find_spec(each) is not None))
     if suffix and suffix not in file_suffixes() and not path.is_dir():
         raise unread_kind(path, "body", file_suffixes())
     if not path.exists():

@@ -148,7 +148,10 @@ def check_json_target(target: str | None) -> None:
 
 
 def keep_inputs(
-    inputs: Iterable[object], outputs: Sequence[tuple[str, Path | str | None]], exports: Sequence[Path] = ()
+    inputs: Iterable[object],
+    outputs: Sequence[tuple[str, Path | str | None]],
+    exports: Sequence[Path] = (),
+    called: str = "--out",
 ) -> None:
     """Refuse an output that would replace what is read, or another output; called before any work is done.
 
@@ -156,6 +159,7 @@ def keep_inputs(
         inputs: names and paths of what is read; what is no file or folder is left out.
         outputs: the flag that names each, for the message, and its path; None and "-" write no file.
         exports: what trajectories are written to, of which some make files of other names.
+        called: the flag or the argument that names those, for the message.
 
     Raises:
         InputError: two of them are one file.
@@ -164,7 +168,7 @@ def keep_inputs(
     read = [file for path in given if path.exists() for file in with_companions(path)]
     written: list[tuple[Path, Path]] = []
     single = [(flag, Path(path)) for flag, path in outputs if path is not None and str(path) != "-"]
-    for flag, path, is_export in [*((f, p, False) for f, p in single), *(("--out", p, True) for p in exports)]:
+    for flag, path, is_export in [*((f, p, False) for f, p in single), *((called, p, True) for p in exports)]:
         for file in read:
             alone = is_same_file(path, file) or (path.suffix.lower() == ".obj" and is_written_with(path, file))
             if would_overwrite(path, file) if is_export else alone:

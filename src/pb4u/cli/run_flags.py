@@ -10,8 +10,8 @@ import typer
 
 from pb4u.cli.console import BodyShape, FrameRange
 from pb4u.cli.record_flags import flag_of, is_on_or_off, option
-from pb4u.errors import InputError, refuse_unknown, unknown_name
-from pb4u.options import Entry, described
+from pb4u.errors import InputError, refuse_unknown
+from pb4u.options import Entry, described, require_value
 from pb4u.run import BODY, GARMENT, MODEL, RESEARCH, SCENE, Run, WornGarment, entries
 
 AS_RELEASED: Mapping[str, str] = {"pb4u": "release", "hood": "hood", "mgn": "mgn", "contourcraft": "contourcraft"}
@@ -113,17 +113,20 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
     for name in ("material", "pins", "triangles", "texture"):
         if name in given:
             given[name] = _one_each(name, given[name], worn)
-    refuse_unknown("garment in this scene", tuck, worn)
+    refuse_unknown("garment", tuck, worn, "The scene")
     if tuck:
         given["tucked"] = [True if name in tuck else None for name in worn]
     if tack:
         given["tacks"] = [[each.value for each in tack if each.garment in (None, name)] or None for name in worn]
         for each in tack:
-            if each.garment not in worn and (each.garment is not None or len(worn) > 1):
-                raise unknown_name("garment in this scene", each.garment or "--tack without NAME=", worn)
+            if each.garment is None and len(worn) > 1:
+                raise InputError(f"--tack says of which garment its vertices are, as in --tack {worn[0]}=10:210.")
+        refuse_unknown("garment", [each.garment for each in tack if each.garment], worn, "The scene")
     for entry in described(Run).values():
         if entry.name in given and is_on_or_off(entry):
             given[entry.name] = given[entry.name] == "on"
+        if entry.name in given and entry.kind in ("whole", "number"):
+            require_value(entry, given[entry.name], f"--{entry.name.replace('_', '-')}")
     if "body_shape" in given:
         kept = {} if "body" in given else described_run.body_shape
         given["body_shape"] = {**kept, **BodyShape.of(given["body_shape"])}
@@ -167,7 +170,7 @@ def _one_each(flag: str, given: Sequence[GarmentValue], names: Sequence[str]) ->
     values = unnamed if len(unnamed) == len(names) else [unnamed[0] if unnamed else None] * len(names)
     by_name = [each.garment for each in given if each.garment is not None]
     for name in by_name:
-        refuse_unknown("garment in this scene", [name], names)
+        refuse_unknown("garment", [name], names, "The scene")
         if names.count(name) > 1 or by_name.count(name) > 1:
             why = (
                 f"the scene has {names.count(name)} garments of that name"

@@ -63,7 +63,7 @@ def convert(
     if bones is not None:
         check_bones(out, bones)
     check_json_target(json)
-    keep_inputs([trajectory], [("--json", json)], [out])
+    keep_inputs([trajectory], [("--json", json)], [out], "OUT")
     seen = view_of([out], picture)
     opened = open_trajectory(trajectory)
     chosen = select_frames(opened, range_, every)
