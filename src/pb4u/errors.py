@@ -13,7 +13,10 @@ _LISTED, _FEW = 20, 8
 """Names that a refusal lists at most, a line or two, and beside near ones: the catalogue of scenes has thousands."""
 
 
-_ALIASES = {"female": "woman", "male": "man", "pants": "trousers", "jeans": "trousers", "jacket": "cardigan"}
+_ALIASES = {
+    "female": "woman", "male": "man", "pants": "trousers", "jeans": "trousers", "leggings": "trousers",
+    "jacket": "cardigan", "coat": "cardigan", "hoodie": "longsleeve", "sweater": "longsleeve",
+}  # fmt: skip
 """What users call things -> what they are called here."""
 
 _ELSEWHERE = {

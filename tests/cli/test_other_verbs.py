@@ -73,6 +73,7 @@ def test_convert_warns_of_a_range_beyond_the_end(pb4u: Callable, walk: Path, tmp
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
+        (("walk.npz", "b.fbx"), "for Blender, Maya, Unreal or Houdini write .usdc, .abc or .glb"),
         (("walk.npz", "b.xyz"), "end the name of the file in one of"),
         (("absent.npz", "b.obj"), "no trajectory file"),
         (("walk.npz", "absent/b.obj"), "does not exist"),
@@ -305,6 +306,26 @@ def test_info_lists_extras(pb4u: Callable) -> None:
     assert {"pb4u", "device", "threads", "extras"} <= set(found)
     assert isinstance(found["extras"]["ray"], bool)
     assert "smpl" not in found["extras"]  # its files need none
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("export", "a.npz"), "did you mean 'convert'?"),
+        (("sim",), "did you mean 'simulate'?"),
+        (("chekc",), "did you mean 'check'?"),
+        (("assets", "wirte"), "did you mean 'write'?"),
+        (("simulate", "--garments", "tshirt"), "--garment)"),
+        (("xyzzy",), "No such command"),
+    ],
+)
+def test_an_unknown_verb_or_option_names_the_nearest_one(
+    pb4u: Callable, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], says: str
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    ended = pb4u(*arguments)
+    assert ended.code == 2
+    assert says in ended.err
 
 
 def test_the_version_is_told_before_anything_else(pb4u: Callable) -> None:

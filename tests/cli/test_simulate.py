@@ -392,6 +392,7 @@ def test_a_number_out_of_range_is_refused_whatever_the_model(
         (("--body", "figure.fbx"), "import it in Blender"),
         (("--garment", "shirt.fbx"), "import it in Blender"),
         (("--garment", "pants"), "did you mean trousers"),
+        (("--garment", "coat"), "did you mean cardigan"),
         (("--body", "female"), "did you mean woman"),
         (("--body", "smpl"), "give the file of the model"),
         (("--material", "polyester"), "There are default, cotton"),

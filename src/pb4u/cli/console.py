@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 
@@ -45,9 +46,31 @@ class _Switches:
 class Verb(_Switches, TyperCommand):
     """A verb."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Values of a verb; of an unknown option the nearest one is named, where all similar ones would be by name."""
+        try:
+            return super().parse_args(ctx, args)
+        except Exception as error:
+            if similar := getattr(error, "possibilities", None):
+                error.possibilities = get_close_matches(error.option_name, similar, 1, 0.0)  # type: ignore[attr-defined]
+            raise
+
+
+_ELSEWHERE = {"export": "convert", "render": "convert", "play": "view", "show": "view", "run": "simulate"}
+"""What other programs call a verb -> its name here."""
+
 
 class Verbs(_Switches, TyperGroup):
     """A group of verbs."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The verb that is called; of an unknown one the nearest is named."""
+        asked = args[0]
+        begun = [verb for verb in self.commands if verb.startswith(asked)]
+        near = [_ELSEWHERE.get(asked, ""), *begun, *get_close_matches(asked, self.commands)]
+        if asked not in self.commands and (known := [verb for verb in near if verb in self.commands]):
+            ctx.fail(f"There is no command '{asked}'; did you mean '{known[0]}'?")
+        return super().resolve_command(ctx, args)
 
 
 def with_flags(**groups: Mapping[str, Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
