@@ -140,6 +140,9 @@ def check_target(path: Path) -> None:
     """
     form = WRITERS.get(path.suffix.lower())
     if form is None:
+        if path.suffix.lower() in (".fbx", ".blend", ".ma", ".mb", ".max", ".c4d", ".uasset", ".hip"):
+            programs = "for Blender, Maya, Unreal or Houdini write .usdc, .abc or .glb"
+            raise InputError(f"{path.suffix} is a program's own format and is not written; {programs}.")
         what = f"{path.suffix} is not a format that is written" if path.suffix else f"{path} has no suffix"
         raise InputError(f"{what}; end the name of the file in one of {', '.join(WRITERS)}.")
     check_writable(path)
