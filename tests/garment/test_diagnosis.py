@@ -234,3 +234,16 @@ def test_a_garment_that_cannot_be_untangled_is_refused():
 
 def test_an_open_seam_crosses_nothing():
     assert "self-crossing" not in diagnose(with_open_seam(triangle_tube(low=0.6, high=1.0, radius=0.22))).codes
+
+
+def test_an_uneven_and_coarse_garment_is_told_one_number_of_triangles(woman):
+    garment = build_garment("longsleeve", woman, 300)
+    vertices, faces = garment.vertices, garment.faces
+    fine = faces[:40]
+    for _ in range(2):  # each of forty faces becomes nine
+        middle = len(vertices) + np.arange(len(fine))
+        vertices = np.concatenate([vertices, vertices[fine].mean(axis=1)])
+        fine = np.concatenate([np.column_stack([fine[:, k], fine[:, (k + 1) % 3], middle]) for k in range(3)])
+    diagnosis = diagnose(PolygonMesh(vertices, tuple(np.concatenate([faces[40:], fine]))), woman)
+    coarse = next(f for f in diagnosis.findings if f.code in ("coarse", "too-coarse"))
+    assert finding(diagnosis, "graded").fix == coarse.fix

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +128,9 @@ def diagnose(
         findings.append(Finding("units", Severity.REFUSED, f"The garment {unit}.", "scale it to metres"))
     elif len(vertices):
         findings += crossing_findings(surface, garment.vertices, measures)
+    if coarse := next((f for f in findings if f.code in ("coarse", "too-coarse")), None):
+        # It asks for more than an evenly meshed garment of as many triangles.
+        findings = [replace(f, fix=coarse.fix) if f.code == "graded" else f for f in findings]
     order = list(Severity)
     return Diagnosis(tuple(sorted(findings, key=lambda f: order.index(f.severity))), fit, measures, held)
 
