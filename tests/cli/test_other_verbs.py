@@ -205,10 +205,24 @@ def test_a_mend_that_leaves_nothing_ends_with_0(pb4u: Callable, tmp_path: Path) 
     file = saved(tmp_path, PolygonMesh(100.0 * mesh.vertices, mesh.polygons))
     ended = pb4u("check", file, "--body", "man", "--fix", tmp_path / "m.obj")
     assert ended.code == 0, ended.err
+    lines = ended.out.splitlines()
+    assert lines[0].startswith("mended: Scaled by 0.01")
+    assert lines[-1] == f"written: {tmp_path / 'm.obj'}"
+    assert {line.partition(":")[0] for line in lines} <= {"mended", "not mended", "stays", "written"}
+
+
+def test_the_command_that_mends_is_said_once(pb4u: Callable, tmp_path: Path) -> None:
+    mesh = triangle_tube(low=0.6, high=1.0, radius=0.22)
+    turned = 100.0 * mesh.vertices @ [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
+    file = saved(tmp_path, PolygonMesh(turned, mesh.polygons))
+    ended = pb4u("check", file, "--body", "man", "--json", tmp_path / "r.json")
     assert "refused: The garment is in centimetres" in ended.out
-    assert f"scale it by 0.01 with `pb4u check {file} --body man --fix OUT.obj`" in ended.out
-    assert "mended: Scaled by 0.01" in ended.out
-    assert "stays: The garment is in" not in ended.out
+    assert "Fix: scale it by 0.01." in ended.out
+    command = f"`pb4u check {file} --body man --fix OUT.obj`"
+    assert ended.out.count(command) == 1
+    assert ended.out.splitlines()[-1].endswith(f"mend: {command}.")
+    found = json.loads((tmp_path / "r.json").read_text())["garment"]["findings"]
+    assert sum(command in each["fix"] for each in found) > 1, "a report for programs keeps it with each"
 
 
 @pytest.mark.parametrize(

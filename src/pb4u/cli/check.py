@@ -90,7 +90,7 @@ def check(
         report["motion"] = _check_motion(motion, figure, crop)
     write_json(report, json)
     if json != "-":
-        _print(report, fix)
+        _print(report, fix, body)
     if refused and fix is not None:
         raise Pb4uError(f"{fix} was not written: it would still be refused; mend what stays in its program first.")
     if refused:
@@ -233,28 +233,38 @@ def _check_motion(name: str, figure: Any, crop: tuple[int, int] | None) -> dict[
     return summary
 
 
-def _print(report: dict[str, Any], fix: Path | None) -> None:
+def _lines(garment: dict[str, Any], fix: Path | None, body: str) -> list[str]:
+    """What is said of a garment; with --fix what was mended, what stays and what was written."""
+    from pb4u.garment.garment_file import fix_command
+
+    command = fix_command(garment["name"], body)
+
+    def told(finding: dict[str, Any]) -> str:
+        # The command stands once, at the end.
+        return f"{finding['sentence']} Fix: {finding['fix'].replace(f' with {command}', '')}."
+
+    if fix is None:
+        lines = [f"{finding['severity']}: {told(finding)}" for finding in garment["findings"]]
+        lines += [] if garment["held_by"] is None else [f"held up by its {garment['held_by']}."]
+        if any(finding["mendable"] for finding in garment["findings"]):
+            lines.append(f"To mend what is safe to mend: {command}.")
+        return lines if garment["findings"] else [f"{garment['name']}: nothing to mend.", *lines]
+    left = [finding for finding in garment["remaining"]["findings"] if finding["severity"] != "note"]
+    command, refused = fix_command(fix, body), garment["remaining"]["refused"]
+    # Nothing is mended in a file that was not written.
+    lines = [f"{'tried' if refused else 'mended'}: {sentence}" for sentence in garment["mended"]]
+    lines += [f"not mended: {sentence}" for sentence in garment["left"]]
+    lines += [f"stays: {told(finding)}" for finding in left]
+    return lines if refused else [*lines, f"written: {fix}"]
+
+
+def _print(report: dict[str, Any], fix: Path | None, body: str) -> None:
     from rich.console import Console
 
     console = Console(highlight=False, soft_wrap=True)
     for garment in report.get("garments", [report["garment"]] if "garment" in report else []):
-        if not garment["findings"]:
-            console.print(f"{garment['name']}: nothing to mend.", markup=False)
-        for finding in garment["findings"]:
-            console.print(f"{finding['severity']}: {finding['sentence']} Fix: {finding['fix']}.", markup=False)
-        if garment["held_by"] is not None:
-            console.print(f"held up by its {garment['held_by']}.", markup=False)
-        refused = (garment["remaining"] or garment)["refused"]
-        for sentence in garment["mended"]:
-            # Nothing is mended in a file that was not written.
-            console.print(f"{'tried' if refused else 'mended'}: {sentence}", markup=False)
-        for sentence in garment["left"]:
-            console.print(f"not mended: {sentence}", markup=False)
-        for finding in (garment["remaining"] or {"findings": []})["findings"]:
-            if finding["severity"] != "note":
-                console.print(f"stays: {finding['sentence']} Fix: {finding['fix']}.", markup=False)
-        if fix is not None and not refused:
-            console.print(f"written: {fix}", markup=False)
+        for line in _lines(garment, fix, body):
+            console.print(line, markup=False)
     if "crossings" in report:
         made, worn = report["crossings"]["as_made"], report["crossings"]["as_worn"]
         for tangle in made:
