@@ -58,3 +58,17 @@ def test_a_body_whose_extra_is_not_installed_is_not_offered(monkeypatch: pytest.
         monkeypatch.setattr("pb4u.body.library.find_spec", lambda _, there=there: there)
         with pytest.raises(InputError, match=f"did you mean woman\\? There are {names}\\."):
             load_body("womn")
+
+
+@pytest.mark.parametrize("height", [1.9, 190.0])
+def test_a_height_in_metres_is_refused_with_the_share_that_it_is(height: float) -> None:
+    with pytest.raises(InputError, match=r"not a length; 1\.90 m is height=") as refused:
+        load_body("woman", {"height": height, "weight": 0.3})
+    share = float(str(refused.value).rstrip(".").rpartition("=")[2])
+    body = load_body("woman", {"height": share, "weight": 0.3})
+    assert isinstance(body, ShapedBody)
+    assert body.height == pytest.approx(1.9, abs=0.01)
+    with pytest.raises(InputError, match=r"it is 1\.22 to 2\.31 m tall"):
+        load_body("woman", {"height": 2.9})
+    with pytest.raises(InputError, match="is 5; give 0 to 1"):
+        load_body("woman", {"height": 5.0})

@@ -114,6 +114,7 @@ def test_assets_lists_every_name_of_the_contract(pb4u: Callable) -> None:
     }  # fmt: skip
     assert set(names["motions"]) == {"walk", "run", "jump", "arms", "twist", "squat", "turn", "dance"}
     assert {"woman", "man"} <= set(names["bodies"])
+    assert "height 0 to 1: 1.22 to 2.31 m; weight 0 to 1: thin to fat" in found["bodies"][0]["description"]
     assert {"default", "cotton", "silk", "denim", "wool", "leather"} <= set(names["materials"])
     assert {"solver", "skinning"} <= set(names["models"])
 

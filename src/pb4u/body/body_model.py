@@ -96,6 +96,7 @@ class BodyModel(ABC):
         Raises:
             InputError: a name is unknown or a value out of range.
         """
+        self._refuse_metres(parameters)
         complete = complete_parameters(self.name, self.shape_parameters, parameters)
         vertices, joints = self.rest(complete)
         if not all((np.abs(places) <= _FARTHEST).all() for places in (vertices, joints)):
@@ -114,6 +115,18 @@ class BodyModel(ABC):
             pose_offsets=self.pose_offsets,
             lift=float(lift[1]),
         )
+
+    def _refuse_metres(self, given: Mapping[str, float]) -> None:
+        """Refuse a height in metres or centimetres where it is a share, and say which share that is."""
+        shares, height = self.shape_parameters.get("height"), given.get("height", 0.0)
+        metres = 0.01 * height if height > 100.0 else height
+        if shares is None or metres <= shares[2] or metres > 3.0:
+            return
+        heights = [self.shaped(**{**given, "height": share}).height for share in shares]
+        told = f"it is {heights[0]:.2f} to {heights[-1]:.2f} m tall"
+        if heights[0] <= metres <= heights[-1]:
+            told = f"{metres:.2f} m is height={np.interp(metres, heights, shares):.2f}"
+        raise InputError(f'Shape parameter "height" of body "{self.name}" is a share, 0 to 1, not a length; {told}.')
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,14 +64,14 @@ def catalogue() -> dict[str, list[dict[str, Any]]]:
     """Descriptions of everything built in, by kind."""
     from dataclasses import asdict
 
-    from pb4u.body.library import body_names, load_boned_body
+    from pb4u.body.library import body_names
     from pb4u.garment.library import LEVELS, garment_names
     from pb4u.garment.material import MATERIALS
     from pb4u.motion.library import motion_names
     from pb4u.simulation.models import model_descriptions
 
     return {
-        "bodies": [{"name": name, **_body_entries(load_boned_body(name))} for name in body_names()],
+        "bodies": [{"name": name, **_body_entries(name)} for name in body_names()],
         "motions": [{"name": name} for name in motion_names()],
         "garments": [{"name": name, "levels": dict(LEVELS)} for name in garment_names()],
         "materials": [
@@ -82,11 +82,13 @@ def catalogue() -> dict[str, list[dict[str, Any]]]:
     }
 
 
-def _body_entries(body: ShapedBody) -> dict[str, Any]:
-    return {
-        "description": f"height {body.height:.2f} m; shape: {', '.join(body.shape)}",
-        "shape": dict(body.shape),
-    }
+def _body_entries(name: str) -> dict[str, Any]:
+    from pb4u.body.library import load_boned_body
+
+    body = load_boned_body(name)
+    low, high = (load_boned_body(name, {"height": share}).height for share in (0.0, 1.0))
+    ranges = f"height 0 to 1: {low:.2f} to {high:.2f} m; weight 0 to 1: thin to fat; muscle 0 to 1: slack to strong"
+    return {"description": f"{body.height:.2f} m; --body-shape {ranges}", "shape": dict(body.shape)}
 
 
 def _material_line(material: Material) -> str:
