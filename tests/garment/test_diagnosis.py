@@ -247,3 +247,13 @@ def test_an_uneven_and_coarse_garment_is_told_one_number_of_triangles(woman):
     diagnosis = diagnose(PolygonMesh(vertices, tuple(np.concatenate([faces[40:], fine]))), woman)
     coarse = next(f for f in diagnosis.findings if f.code in ("coarse", "too-coarse"))
     assert finding(diagnosis, "graded").fix == coarse.fix
+
+
+def test_a_garment_made_for_the_other_body_names_it(woman):
+    man = load_body("man")
+    garment = build_garment("longsleeve", man, 1500)
+    own = PolygonMesh(garment.vertices, tuple(garment.faces))
+    found = finding(diagnose(own, woman), "other-body")
+    assert found.fix == "give --body man"
+    assert 'fits the body "man" better' in found.sentence
+    assert "other-body" not in diagnose(own, man).codes
