@@ -23,6 +23,7 @@ from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.obj_file import read_obj, write_obj
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.trajectory import Trajectory
+from pb4u.simulation.models import default_model
 from pb4u.simulation.simulator import SkinningSimulator
 
 CUBE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
@@ -116,7 +117,9 @@ def test_assets_lists_every_name_of_the_contract(pb4u: Callable) -> None:
     assert {"woman", "man"} <= set(names["bodies"])
     assert "height 0 to 1: 1.22 to 2.31 m; weight 0 to 1: thin to fat" in found["bodies"][0]["description"]
     assert {"default", "cotton", "silk", "denim", "wool", "leather"} <= set(names["materials"])
-    assert {"solver", "skinning"} <= set(names["models"])
+    assert names["models"][:4] == [default_model(), "quick-solver", "solver", "skinning"]
+    assert all(name.startswith("comparison-") for name in names["models"][-8:]), "what most users want comes first"
+    assert all(row["description"] for rows in found.values() for row in rows)
 
 
 def test_written_assets_can_be_used_as_input(pb4u: Callable, tmp_path: Path) -> None:

@@ -30,6 +30,26 @@ if TYPE_CHECKING:
 _SUFFIXES = {"garment": ".obj", "body": ".obj", "motion": ".npz", "material": ".json"}
 """What each kind of asset is written as."""
 
+_WHAT = {
+    "tshirt": "short sleeves, to the hips",
+    "tanktop": "no sleeves, close, to the hips",
+    "longsleeve": "sleeves to the wrists, to the hips",
+    "dress": "no sleeves, flared, to the calves",
+    "fitted_dress": "short sleeves, close, to above the knees",
+    "cardigan": "open in front, sleeves to the wrists, wide: over other garments",
+    "trousers": "to the ankles, held by the waistband",
+    "skirt": "flared, to the knees, held by the waistband",
+    "walk": "a steady walk: easy for cloth",
+    "run": "a steady run: arms and legs move fast",
+    "jump": "crouches, jumps on the spot and lands: cloth flies up",
+    "arms": "lifts the arms to the sides, overhead and across the chest: sleeves",
+    "twist": "turns the trunk from side to side: wrinkles at the waist",
+    "squat": "deep knee bends: thighs and belly fold, hard for cloth",
+    "turn": "turns on the spot: skirts swing out",
+    "dance": "side steps, swaying hips and sweeping arms: all of it moves",
+}
+"""What each garment and motion is good for."""
+
 group = typer.Typer(
     cls=Verbs, help="List the built-in bodies, motions, garments, materials and models; write any of them to a file."
 )
@@ -72,8 +92,8 @@ def catalogue() -> dict[str, list[dict[str, Any]]]:
 
     return {
         "bodies": [{"name": name, **_body_entries(name)} for name in body_names()],
-        "motions": [{"name": name} for name in motion_names()],
-        "garments": [{"name": name, "levels": dict(LEVELS)} for name in garment_names()],
+        "motions": [{"name": name, "description": _WHAT[name]} for name in motion_names()],
+        "garments": [{"name": name, "description": _WHAT[name], "levels": dict(LEVELS)} for name in garment_names()],
         "materials": [
             {"name": name, "description": _material_line(material), **asdict(material)}
             for name, material in MATERIALS.items()

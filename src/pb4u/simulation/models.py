@@ -33,21 +33,23 @@ _TRAINING_STATE = "pb4u_training"
 
 
 def model_descriptions() -> dict[str, str]:
-    """One line of description of every simulator that needs no file, by name."""
+    """One line of description of every simulator that needs no file, by name, those that most users want first."""
     from pb4u.simulation.checkpoint import built_in_models
 
-    descriptions = {name: _network_line(name) for name in built_in_models()}
-    if descriptions:
-        descriptions |= {
-            "gradient-descent": "control: the default network's start, search and passes with the gradient, no network",
-            "warm-start": "control: where the default network's steps start, and nothing after",
-        }
-    descriptions |= {
+    networks = {name: _network_line(name) for name in built_in_models()}
+    own = {name: line for name, line in networks.items() if not name.startswith("comparison-")}
+    solvers = {
+        "quick-solver": "the solver with at most --refine iterations a step, no network: fastest for most garments",
         "solver": "minimises the physics energies each frame: the reference",
-        "quick-solver": "at most --refine iterations of it a step, without a network: fastest for most garments",
         "skinning": "no physics: the garment follows the body",
     }
-    return descriptions
+    controls = {
+        "gradient-descent": "control: the default network's start, search and passes with the gradient, no network",
+        "warm-start": "control: where the default network's steps start, and nothing after",
+    }
+    usual = default_model()
+    first = {name: line for name, line in own.items() if name == usual}
+    return {**first, **solvers, **own, **(controls if networks else {}), **networks}
 
 
 def _network_line(name: str) -> str:
