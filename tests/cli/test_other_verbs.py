@@ -323,6 +323,8 @@ def test_info_lists_extras(pb4u: Callable) -> None:
     found = json.loads(pb4u("info", "--json", "-").out)
     assert {"pb4u", "device", "threads", "extras"} <= set(found)
     assert isinstance(found["extras"]["ray"], bool)
+    assert isinstance(found["extras"]["ffmpeg"], bool)
+    assert "ffmpeg (H.264 videos; its program is under the GPL" in " ".join(pb4u("info").out.split())
     assert "smpl" not in found["extras"]  # its files need none
 
 

@@ -17,10 +17,12 @@ _EXTRAS = {
     "usd": "pxr",
     "abc": "alembic3d",
     "svg": "svgelements",
+    "ffmpeg": "imageio_ffmpeg",
     "view": "viser",
     "ray": "ray",
     "dataset": "pyarrow",
 }
+_OF_EXTRAS = {"ffmpeg": ' (H.264 videos; its program is under the GPL, so "all" leaves it out)'}
 
 
 def info(
@@ -52,7 +54,8 @@ def info(
             value = "\n".join(value) or "in nothing"
         if isinstance(value, dict):
             value = ", ".join(
-                f"{name} {'yes' if present is True else 'no' if present is False else present}"
+                f"{name}{_OF_EXTRAS.get(name, '')} "
+                f"{'yes' if present is True else 'no' if present is False else present}"
                 for name, present in value.items()
             )
         table.add_row(key.replace("_", " "), str(value))
