@@ -48,9 +48,9 @@ class WornGarment:
     """One garment of a run.
 
     Args:
-        garment: Built-in garment (`pb4u assets` lists them), a mesh file in metres that fits the body at rest, a sewing
-            pattern (GarmentCode's .json, a .toml of an SVG, or .npz of `pb4u dress`), or FILE.pkl:NAME of a garments
-            dictionary of HOOD's family; in Python a Garment too.
+        garment: Built-in garment (`pb4u assets` lists them), a mesh file (.obj, .ply, .stl, .glb, .gltf, .off), in
+            metres, that fits the body at rest, a sewing pattern (GarmentCode's .json, a .toml of an SVG, or .npz of
+            `pb4u dress`), or FILE.pkl:NAME of a garments dictionary of HOOD's family; in Python a Garment too.
         material: Built-in material (`pb4u assets`), a JSON file in SI units or a Material. Default: the garment's own,
             or "default".
         pins: Vertices that follow the body: none, waist (highest border), collar (uppermost 4 cm of a border), hem
