@@ -30,7 +30,7 @@ def stop(*_: object) -> None:
 def saved(pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Saved:
     """The description that a call would run."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("pb4u.simulation.run_simulation.build_scene", lambda run: run)
+    monkeypatch.setattr("pb4u.simulation.run_simulation.build_scene", lambda run, fps: run)
     monkeypatch.setattr("pb4u.cli.simulate._trajectory", stop)
 
     def call(*arguments: object) -> Run:

@@ -61,7 +61,7 @@ def test_a_format_is_known_without_importing_its_writer_and_names_functions_that
 
 def test_an_unknown_suffix_lists_the_known(trajectory: Trajectory, tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
-        export(trajectory, tmp_path / "walk.fbx")
+        export(trajectory, tmp_path / "walk.xyz")
     assert all(suffix in str(refused.value) for suffix in WRITERS)
 
 

@@ -308,6 +308,9 @@ class OneMethod(StepwiseSimulator):
     def __init__(self, first_frame: FirstFrame, method: StepMethod) -> None:
         self.first_frame, self._method = first_frame, method
 
+    def timeline(self, *scenes: Scene) -> Timeline:
+        return Timeline.of_worlds(scenes)
+
     def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
         return self._method
 

@@ -68,7 +68,7 @@ def ball_of(asked: Run, **options: Any) -> tuple[Scene, tuple[str, ...]]:
 def balls(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     """Scenes are balls: the motion sets their speed, the level how fine the sheet is; on "turn" there is none."""
 
-    def made(asked: Run) -> tuple[Scene, tuple[str, ...]]:
+    def made(asked: Run, fps: float) -> tuple[Scene, tuple[str, ...]]:
         if asked.motion == "turn":
             raise InputError("The ball cannot turn.")
         speed = 0.3 if asked.motion == "walk" else 0.6
@@ -231,7 +231,7 @@ def test_weights_that_changed_after_planning_are_not_taken_for_the_old_ones(tmp_
 
 
 def test_unexpected_errors_come_back_as_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(asked: Run) -> Scene:
+    def broken(asked: Run, fps: float) -> Scene:
         raise ZeroDivisionError("division by zero")
 
     monkeypatch.setattr(run_job, "_scene", broken)

@@ -157,7 +157,7 @@ def test_failures_are_counted_and_named_with_what_makes_them_again() -> None:
 def test_a_run_of_drawn_scenes_ends_in_a_page_and_is_not_made_twice(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(run_job, "_scene", lambda asked: ball_of(asked, cells=5, speed=0.3))
+    monkeypatch.setattr(run_job, "_scene", lambda asked, fps: ball_of(asked, cells=5, speed=0.3))
     request = replace(REQUEST, models=("skinning",), scenes=2, frames=3, lead_in=1)
     pool = Here(attempt)
     first = evaluate(request, tmp_path / "run", lambda: pool)
@@ -174,7 +174,7 @@ def test_a_run_of_drawn_scenes_ends_in_a_page_and_is_not_made_twice(
 
 
 def test_kept_frames_are_those_of_the_moment_and_of_the_worst(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(run_job, "_scene", lambda asked: ball_of(asked, cells=5, speed=0.3))
+    monkeypatch.setattr(run_job, "_scene", lambda asked, fps: ball_of(asked, cells=5, speed=0.3))
     job = plan(replace(REQUEST, models=("skinning",), scenes=1, frames=6, lead_in=1)).cases[0].job
     kept = make(job)
     assert kept.trajectory is not None

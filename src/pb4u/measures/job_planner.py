@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -66,11 +67,10 @@ class JobPlanner:
         """
         self._require_names(run)
         model = self.model(run)
-        given = {"model": model.name, "device": model.device}
+        resolved = replace(run, model=model.name, device=model.device)
         if run.motion is None and self._needs_motion(str(run.body), run.clip, run.body_parts):
             # Named, so that its label says what the body performs.
-            given["motion"] = DEFAULT_MOTION
-        resolved = run.with_entries(given)
+            resolved = replace(resolved, motion=DEFAULT_MOTION)
         contents = [row for value in dict.fromkeys(map(str, filter(None, resolved.files))) for row in self._read(value)]
         return RunJob(resolved, label, tuple(contents), model.weights, keep, excess)
 
