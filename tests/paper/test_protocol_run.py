@@ -162,7 +162,7 @@ def test_failures_are_told_kept_and_tried_again_when_asked(tmp_path: Path, monke
     assert "2 failed before and left (--retry tries them again)" in said[0]
     results, did, _ = run(request, out, retry=True)
     assert (len(did), len(results["failures"])) == (2, 2)
-    monkeypatch.setattr(run_job, "_scene", lambda asked: ball_of(asked, cells=5))
+    monkeypatch.setattr(run_job, "_scene", lambda asked, fps: ball_of(asked, cells=5))
     results, did, _ = run(request, out, retry=True)
     assert (len(did), results["failures"]) == (2, [])
 
