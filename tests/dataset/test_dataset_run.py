@@ -131,6 +131,16 @@ def test_the_index_has_every_entry_that_a_jobs_file_may_vary(tmp_path: Path) -> 
     assert {named.get(name, name) for name in ENTRIES} <= plain.keys()
 
 
+def test_another_jobs_file_adds_its_clips_to_the_index(tmp_path: Path) -> None:
+    make(runs(2), tmp_path / "set", quick, 2)
+    make(runs(1, garment="skirt"), tmp_path / "set", quick, 2)
+    kept = rows(tmp_path / "set")
+    assert [(row["garment"], row["status"]) for row in kept] == [("skirt", "done"), *[("tshirt", "done")] * 2]
+    assert all(row["file"].endswith(".tar") and row["member"] for row in kept[1:])
+    make(runs(2), tmp_path / "set", quick, 2)
+    assert [row["garment"] for row in rows(tmp_path / "set")] == ["tshirt", "tshirt", "skirt"]
+
+
 def test_files_of_one_stem_and_what_is_in_them_are_told_apart_in_the_index(tmp_path: Path) -> None:
     def cloth(place: str, density: float) -> str:
         file = tmp_path / place

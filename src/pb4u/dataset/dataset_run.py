@@ -68,10 +68,12 @@ def make_dataset(
     with DatasetFolder(out, clips_per_shard, half) as folder:
         missing = folder.still_to_do(jobs, "clips", retry, say, plan_only=plan_only)
         if missing:
-            size = sum(footprints(missing))
+            sizes = sorted(footprints(missing))
+            size = sum(sizes)
             room = f"{size_text(size)} on the disk, which has {size_text(_free(out))} free"
             say(f"{len(missing):,} clips take about {room}.")
-            _require_room(size, out)
+            # A shard is written whole before the clips that it takes in are deleted.
+            _require_room(size + sum(sizes[-clips_per_shard:] if clips_per_shard else ()), out)
         if plan_only:
             return _summary(jobs, folder)
         folder.write_manifest(jobs, jobs_file=jobs_file)

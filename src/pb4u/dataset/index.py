@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,9 +34,11 @@ def require_parquet() -> None:
 def write_index(folder: DatasetFolder, jobs: Sequence[RunJob]) -> None:
     """Write the index, beside and moved into place.
 
+    Clips of earlier jobs files keep their rows, after those of `jobs`, as long as they are there.
+
     Args:
         folder: the dataset.
-        jobs: its clips, in the order of the rows.
+        jobs: clips of this jobs file, in the order of the rows.
 
     Raises:
         Pb4uError: the disk refuses.
@@ -46,10 +48,22 @@ def write_index(folder: DatasetFolder, jobs: Sequence[RunJob]) -> None:
 
     titles = _titles(jobs)
     rows = [_row(folder, job, job.labelled(titles)) for job in jobs]
+    rows += _earlier_rows(folder, {job.key for job in jobs})
     table = pyarrow.Table.from_pylist(rows, schema=_schema())
     content = io.BytesIO()
     pyarrow.parquet.write_table(table, content, compression="zstd")
     folder.write(INDEX, content.getvalue())
+
+
+def _earlier_rows(folder: DatasetFolder, keys: Collection[str]) -> list[dict[str, Any]]:
+    """Rows of the index of clips that are there and have none of these keys."""
+    import pyarrow.parquet
+
+    if not (folder.path / INDEX).is_file():
+        return []
+    rows = pyarrow.parquet.read_table(folder.path / INDEX).to_pylist()
+    kept = [(row, folder.place(row["key"])) for row in rows if row["key"] not in keys]
+    return [{**row, "file": place.file, "member": place.member} for row, place in kept if place is not None]
 
 
 def _titles(jobs: Sequence[RunJob]) -> dict[str, str]:
