@@ -67,7 +67,7 @@ class JobPlanner:
         """
         self._require_names(run)
         model = self.model(run)
-        resolved = replace(run, model=model.name, device=model.device)
+        resolved = run.with_entries({"model": model.name, "device": model.device})
         if run.motion is None and self._needs_motion(str(run.body), run.clip, run.body_parts):
             # Named, so that its label says what the body performs.
             resolved = replace(resolved, motion=DEFAULT_MOTION)
