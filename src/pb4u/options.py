@@ -157,3 +157,23 @@ def _wanted(entry: Entry) -> str:
     if least is None:
         return number
     return f"{number} from {least:,g} to {most:,g}" if most is not None else f"{number}, {least:,g} or more"
+
+
+def is_whole(value: object) -> bool:
+    """Whether a value is a whole number, be it Python's or numpy's; a switch is none.
+
+    Args:
+        value: anything.
+    """
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def are_pairs(value: object) -> bool:
+    """Whether a value is a list of pairs of whole numbers.
+
+    Args:
+        value: anything.
+    """
+    return isinstance(value, list | tuple) and all(
+        isinstance(pair, list | tuple) and len(pair) == 2 and all(map(is_whole, pair)) for pair in value
+    )

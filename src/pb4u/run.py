@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Integral, Real
+from numbers import Real
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pb4u.body.built_in import DEFAULT_BODY
 from pb4u.errors import InputError, refuse_unknown
 from pb4u.garment.dictionary_entry import DictionaryEntry
-from pb4u.options import Flag, described, require_fitting
+from pb4u.options import Flag, are_pairs, described, is_whole, require_fitting
 
 if TYPE_CHECKING:
     from pb4u.body.animated_body import AnimatedBody
@@ -80,7 +80,7 @@ class WornGarment:
             if not all(map(is_whole, indices)):
                 raise InputError(f"The pins must be a name, a file or a list of vertex indices, not {self.pins!r}.")
             object.__setattr__(self, "pins", tuple(map(int, indices)))
-        if not _are_pairs(self.tacks):
+        if not are_pairs(self.tacks):
             raise InputError(f"Tacks are pairs of vertices, such as [[10, 210]], not {self.tacks!r}.")
         object.__setattr__(self, "tacks", tuple((int(a), int(b)) for a, b in self.tacks))
         _check(self)
@@ -383,22 +383,6 @@ def _checked_crop(crop: Any) -> tuple[int, int]:
     return crop[0], crop[1]
 
 
-def is_whole(value: object) -> bool:
-    """Whether a value is a whole number, be it Python's or numpy's; a switch is none.
-
-    Args:
-        value: anything.
-    """
-    return isinstance(value, Integral) and not isinstance(value, bool)
-
-
-def _are_pairs(value: object) -> bool:
-    """Whether a value is a list of pairs of whole numbers."""
-    return isinstance(value, list | tuple) and all(
-        isinstance(pair, list | tuple) and len(pair) == 2 and all(map(is_whole, pair)) for pair in value
-    )
-
-
 def _is_same(garment: object, other: object) -> bool:
     if isinstance(garment, str | Path) and isinstance(other, str | Path):
         return Path(garment).resolve() == Path(other).resolve()
@@ -408,7 +392,7 @@ def _is_same(garment: object, other: object) -> bool:
 def _one_each(name: str, value: Any, count: int) -> Sequence[Any]:
     """The value for each of `count` garments; a list of whole numbers is one choice of pins, one of pairs of tacks."""
     is_indices = name == "pins" and isinstance(value, list | tuple) and all(map(is_whole, value))
-    if not isinstance(value, list | tuple) or is_indices or (name == "tacks" and _are_pairs(value)):
+    if not isinstance(value, list | tuple) or is_indices or (name == "tacks" and are_pairs(value)):
         return [value] * count
     if len(value) != count:
         raise InputError(f"{name} has {len(value)} values for {count} garments; give one for all, or one each.")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.export.readers import Glb
 
-from pb4u.export.pieces import pieces
+from pb4u.export.pieces import names_apart, pieces
 from pb4u.export.registry import export
 from pb4u.export.shading import cloth_parts
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
@@ -60,6 +60,10 @@ def test_pieces_are_the_garments_one_by_one(outfit: Trajectory, trajectory: Traj
     assert (look.name, look.faces.tolist()) == ("cardigan", list(range(len(trajectory.faces))))
     (alone,) = pieces(trajectory.header)
     assert alone.header is trajectory.header
+
+
+def test_equal_names_are_numbered_past_those_that_are_taken() -> None:
+    assert names_apart(["shirt", "shirt 2", "shirt", "shirt"], " ") == ["shirt", "shirt 2", "shirt 3", "shirt 4"]
 
 
 def test_a_glb_has_a_node_for_each_garment(outfit: Trajectory, tmp_path: Path) -> None:

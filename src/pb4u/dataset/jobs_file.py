@@ -15,7 +15,8 @@ from typing import Any
 
 from pb4u.errors import InputError
 from pb4u.io.toml_file import read_tables
-from pb4u.run import ENTRIES, Run, is_whole
+from pb4u.options import is_whole
+from pb4u.run import ENTRIES, Run
 from pb4u.scene_file import require_entries, require_format
 
 MOST_CLIPS = 100_000

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, count
 
 import numpy as np
 
@@ -49,10 +50,7 @@ def pieces(header: TrajectoryHeader) -> list[Piece]:
     described = header.garments
     if len(firsts) < 2 or len(firsts) != len(described) or len(np.unique(owner)) != len(firsts):
         return [Piece("Garment", slice(0, len(owner)), np.arange(len(header.faces)), header)]
-    names: list[str] = []
-    for garment in described:
-        name = str(garment["name"])
-        names.append(f"{name} {names.count(name) + 1}" if name in names else name)
+    names = names_apart([str(garment["name"]) for garment in described], " ")
     ends = [*firsts[1:].tolist(), len(owner)]
     return [
         _piece(header, k, name, slice(first, end))
@@ -60,8 +58,22 @@ def pieces(header: TrajectoryHeader) -> list[Piece]:
     ]
 
 
+def names_apart(names: Sequence[str], between: str) -> list[str]:
+    """The names, those that were there before with the first free number after them.
+
+    Args:
+        names: some of them perhaps equal.
+        between: what stands before a number.
+    """
+    apart: list[str] = []
+    for name in names:
+        numbered = (f"{name}{between}{number}" for number in count(2))
+        apart.append(next(each for each in chain((name,), numbered) if each not in apart))
+    return apart
+
+
 def _piece(header: TrajectoryHeader, k: int, name: str, vertices: slice) -> Piece:
-    first, count = vertices.start, vertices.stop - vertices.start
+    first, size = vertices.start, vertices.stop - vertices.start
     faces = np.flatnonzero((header.faces[:, 0] >= first) & (header.faces[:, 0] < vertices.stop))
     outlines = header.outlines
     starts = outlines.corners[np.cumsum(outlines.sizes) - outlines.sizes]
@@ -73,14 +85,14 @@ def _piece(header: TrajectoryHeader, k: int, name: str, vertices: slice) -> Piec
         uvs, uv_faces = uvs[points], np.searchsorted(points, header.uv_faces[faces])
         uv_corners = np.searchsorted(points, outlines.uv_corners[corners])
     own = Polygons(outlines.sizes[polygons], outlines.corners[corners] - first, uv_corners)
-    described = header.garments[k] | {"vertices": [0, count], "triangles": [0, len(faces)]}
+    described = header.garments[k] | {"vertices": [0, size], "triangles": [0, len(faces)]}
     alone = replace(
         header,
         metadata={**header.metadata, "garments": [described]},
         faces=header.faces[faces] - first,
         rest_positions=header.rest_positions[vertices],
         pinned=header.pinned[vertices],
-        vertex_garment=np.zeros(count, dtype=np.int32),
+        vertex_garment=np.zeros(size, dtype=np.int32),
         uvs=uvs,
         uv_faces=uv_faces,
         source=None,

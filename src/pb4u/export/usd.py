@@ -15,7 +15,7 @@ from pb4u.errors import InputError, extra
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.incomplete_file import incomplete
 from pb4u.export.panels import SewnPanels
-from pb4u.export.pieces import Piece, pieces
+from pb4u.export.pieces import Piece, names_apart, pieces
 from pb4u.export.shading import CLOTH, SKIN, ClothPart, Colour, cloth_parts, unit_normals
 from pb4u.geometry.appearance import image_suffix
 from pb4u.progress import Progress, no_progress
@@ -175,11 +175,7 @@ def _prims(names: Sequence[str]) -> list[str]:
 
     if len(names) == 1:
         return ["/Scene/Garment"]
-    prims: list[str] = []
-    for name in names:
-        prim = f"/Scene/Garment/{Tf.MakeValidIdentifier(name)}"
-        prims.append(f"{prim}_{len(prims) + 1}" if prim in prims else prim)
-    return prims
+    return [f"/Scene/Garment/{name}" for name in names_apart([Tf.MakeValidIdentifier(name) for name in names], "_")]
 
 
 def _colour_cloth(

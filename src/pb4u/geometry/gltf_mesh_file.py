@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from pb4u.errors import InputError, warn
 from pb4u.geometry.appearance import Appearance, Appearances, sound_image
-from pb4u.geometry.mesh_file import PolygonMesh, require_sound, welded
+from pb4u.geometry.mesh_file import PolygonMesh, no_faces, require_sound, welded
 from pb4u.geometry.topology import joined_indices, offsets
 from pb4u.io.gltf_file import GltfFile, read_gltf
 from pb4u.io.reading_limits import refusing
@@ -49,7 +49,7 @@ def read_gltf_mesh(path: Path) -> PolygonMesh:
             if primitive.get("mode", _TRIANGLES) in (_TRIANGLES, _STRIP, _FAN)
         ]
         if not sum(len(part.faces) for part in parts):
-            raise InputError(f"{path} has no faces: export it as a polygon mesh.")
+            raise no_faces(path)
         starts = offsets([part.vertices for part in parts])
         vertices = np.concatenate([part.vertices for part in parts])
         corners = joined_indices([part.faces for part in parts], starts)

@@ -83,7 +83,7 @@ def read_stl(path: Path) -> PolygonMesh:
         parts: list[Any] = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
     parts = [part for part in parts if isinstance(part, trimesh.Trimesh) and len(part.faces)]
     if not parts:
-        raise InputError(f"{path} has no faces: export it as a polygon mesh.")
+        raise no_faces(path)
     vertices = np.concatenate([part.vertices for part in parts]).astype(np.float64)
     starts = offsets([part.vertices for part in parts])
     faces = joined_indices([part.faces for part in parts], starts).astype(np.int64)
@@ -110,7 +110,7 @@ def read_off(path: Path) -> PolygonMesh:
         if min(count, face_count) < 0 or len(lines) < count + face_count:
             raise ValueError("it is cut short")
         if not face_count:
-            raise InputError(f"{path} has no faces: export it as a polygon mesh.")
+            raise no_faces(path)
         vertices = np.array([words[:3] for words in lines[:count]], dtype=np.float64).reshape(count, 3)
         polygons = []
         for k, words in enumerate(lines[count : count + face_count]):
@@ -121,6 +121,15 @@ def read_off(path: Path) -> PolygonMesh:
                 )
         require_sound(path, vertices, np.concatenate(polygons))
     return PolygonMesh(vertices, tuple(polygons))
+
+
+def no_faces(path: Path) -> InputError:
+    """What is said of a file without faces.
+
+    Args:
+        path: the file.
+    """
+    return InputError(f"{path} has no faces: export it as a polygon mesh.")
 
 
 def require_sound(path: Path, vertices: np.ndarray, corners: np.ndarray) -> None:

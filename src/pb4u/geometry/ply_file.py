@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.geometry.mesh_file import PolygonMesh, require_sound
+from pb4u.geometry.mesh_file import PolygonMesh, no_faces, require_sound
 from pb4u.io.reading_limits import refusing
 
 _KINDS = {
@@ -46,7 +46,7 @@ def read_ply(path: Path) -> PolygonMesh:
         points, face = elements.get("vertex", {}), elements.get("face", {})
         polygons = [row.astype(np.int64) for row in face.get("vertex_indices", face.get("vertex_index", ()))]
         if not polygons:
-            raise InputError(f"{path} has no faces: export it as a polygon mesh.")
+            raise no_faces(path)
         if few := [k for k, polygon in enumerate(polygons) if len(polygon) < 3]:
             raise InputError(f"{path}: face {few[0]} has {len(polygons[few[0]])} corners; a face needs 3 or more.")
         vertices = np.column_stack([points[axis] for axis in "xyz"]).astype(np.float64)

@@ -148,11 +148,11 @@ def cut_back(
         edges: (edges, 2).
         longest: (edges,) [m] lengths to which they may be stretched.
     """
-    x, torn = np.empty(before.shape), np.empty(len(before), dtype=np.bool_)
+    x, overstretched = np.empty(before.shape), np.empty(len(before), dtype=np.bool_)
     # Each round after the halvings stops a vertex at least.
     for halving in range(_HALVINGS + len(before)):
         for row in range(len(x)):
-            torn[row] = False
+            overstretched[row] = False
             for axis in range(3):
                 x[row, axis] = before[row, axis] + shares[row] * (lifted[row, axis] - before[row, axis])
         for edge in range(len(edges)):
@@ -164,11 +164,11 @@ def cut_back(
                 was += (before[a, axis] - before[b, axis]) ** 2
                 now += (x[a, axis] - x[b, axis]) ** 2
             if now > max(longest[edge] ** 2, was * _ROUNDING):
-                torn[a] = torn[b] = True
-        if not torn.any():
+                overstretched[a] = overstretched[b] = True
+        if not overstretched.any():
             break
         for row in range(len(x)):
-            if torn[row]:
+            if overstretched[row]:
                 shares[row] = 0.5 * shares[row] if halving < _HALVINGS - 1 else 0.0
     return x
 
