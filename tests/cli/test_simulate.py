@@ -300,7 +300,7 @@ def test_a_run_that_diverged_is_written_and_warned_of(
 
 
 def test_divergence_is_judged_as_the_report_does() -> None:
-    scene = make_scene(triangles=1000, lead_in=0, frames=6)
+    scene = make_scene(triangles=1000, lead_in=0, frames=5)
     plain = SkinningSimulator().simulate(scene)
     centres = skinned_centres(scene, plain)
     wide, lost, fallen = (plain.positions.copy() for _ in range(3))

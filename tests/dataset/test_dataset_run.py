@@ -253,19 +253,13 @@ def test_a_kill_while_shards_are_written_loses_nothing(tmp_path: Path, monkeypat
     assert list((out / "clips").iterdir()) == []
 
 
-@pytest.mark.parametrize("workers", ["processes", "ray"])
 def test_a_killed_worker_loses_nothing_and_nothing_is_made_twice(
-    workers: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if workers == "ray":
-        pytest.importorskip("ray", reason='needs the "ray" extra')
     monkeypatch.setenv(NOTED, str(tmp_path / "begun"))
 
-    def pool() -> WorkerPool:
-        return LocalPool(2, dies_once) if workers == "processes" else RayPool("local", dies_once, 2)
-
     out = tmp_path / "set"
-    made = make_dataset(runs(3, triangles=400, frames=1), out, pool)
+    made = make_dataset(runs(3, triangles=400, frames=1), out, lambda: LocalPool(2, dies_once))
     assert (made["done"], made["failures"]) == (3, [])
     begun = Counter((tmp_path / "begun").read_text().split())
     assert begun == {"0": 1, "1": 2, "2": 1}

@@ -57,7 +57,7 @@ def test_bvh_and_amc_of_one_recording_agree(test_data, woman, arms_away, degrees
 @pytest.mark.parametrize("trial", SAMPLE)
 def test_recordings_load_and_stand_on_the_ground(test_data, woman, trial):
     motion = load_motion(test_data / f"motions/cmu_asfamc/{trial}.amc")
-    poses = motion.poses(woman, 30.0, motion.available_frames(30.0))
+    poses = motion.poses(woman, 15.0, motion.available_frames(15.0))
     low = lowest_heights(woman, poses)
     # Feet stand on it; toes dip as they roll off, in a tango by a hand's breadth.
     assert abs(np.percentile(low[np.abs(low) < 0.05], 50)) < 0.01
