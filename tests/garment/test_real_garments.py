@@ -80,7 +80,8 @@ def test_shorts_pushed_out_of_another_s_body_do_not_cross_themselves(test_data, 
     assert left == ("Front and back fit alike: Z up, facing -Y was taken, Z up, facing +Y is as likely.",)
 
 
-MOVED = ("croptop_f_lod1", "longsleeve_m_lod0", "pants_f_lod0", "tshirt_f_lod0")
+MOVED = ("croptop_f_lod1", "longsleeve_m_lod0", "pants_f_lod0", "shorts_f_lod0", "tights_f_lod0", "tshirt_f_lod0",
+         "tshirt_m_lod0")  # fmt: skip
 
 
 @pytest.mark.parametrize("name", MOVED)
@@ -98,7 +99,8 @@ def test_a_real_garment_moved_turned_and_scaled_is_put_back(name, test_data, bod
         cases.append((moved @ AXES[axes], "metres", axes))
     for unit in ("centimetres", "millimetres", "inches"):
         cases.append(((worn + draw.uniform(-0.06, 0.06, 3)) @ made / UNITS[unit], unit, "Z up, facing -Y"))
-    for vertices, unit, axes in cases:
+    # Every other case of each garment, in turn: a fit takes a second.
+    for vertices, unit, axes in cases[MOVED.index(name) % 2 :: 2]:
         fit = find_fit(vertices, rest)
         assert (fit.unit, fit.axes) == (unit, axes)
         assert np.linalg.norm(fit.apply(vertices) - worn, axis=1).max() < 0.02
