@@ -7,10 +7,11 @@ from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.library import load_body
 from pb4u.body.skeleton import PoseSequence
 from pb4u.garment.dressing import AttachedPlacement, SkinnedPlacement
-from pb4u.garment.weight_cache import cache_folder, garment_weights
+from pb4u.garment.weight_cache import garment_weights
 from pb4u.garment.weight_transfer import INFLUENCES, borrow_weights
 from pb4u.geometry.rotation import from_axis_angle, matrix_from_quaternion, multiply
 from pb4u.geometry.triangle_mesh import edge_lengths
+from pb4u.io.cache_folder import cache_folder
 
 
 @pytest.fixture(autouse=True)

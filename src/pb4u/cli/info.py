@@ -66,6 +66,8 @@ def gather() -> dict[str, Any]:
     """Versions, device, threads and installed extras, by the name that `pb4u info` shows."""
     import torch
 
+    from pb4u.collision.kernel_cache import kernel_folder
+
     return {
         "pb4u": _version("pb4u"),
         "python": platform.python_version(),
@@ -73,6 +75,7 @@ def gather() -> dict[str, Any]:
         "packages": {name: _version(name) for name in ("torch", "numpy", "scipy", "trimesh", "pyvista", "safetensors")},
         "device": torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu",
         "threads": torch.get_num_threads(),
+        "compiled kernels": str(kernel_folder()),
         "extras": {extra: find_spec(module) is not None for extra, module in _EXTRAS.items()},
     }
 

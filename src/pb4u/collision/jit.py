@@ -8,7 +8,10 @@ from typing import TypeVar, cast
 import numba
 import numpy as np
 import torch
+from numba.core.dispatcher import Dispatcher
 from torch import Tensor
+
+from pb4u.collision.kernel_cache import KernelCache
 
 Compiled = TypeVar("Compiled", bound=Callable)
 
@@ -41,11 +44,10 @@ def compiled_with_free_sums(function: Compiled) -> Compiled:
 
 
 def _compiled(function: Compiled, freedom: set[str]) -> Compiled:
-    try:
-        return cast(Compiled, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=freedom)(function))
-    except RuntimeError:
-        # No folder may be written, neither beside the package nor of the user: compiled again in every run.
-        return cast(Compiled, numba.njit(nogil=True, error_model="numpy", fastmath=freedom)(function))
+    kernel = numba.njit(nogil=True, error_model="numpy", fastmath=freedom)(function)
+    if isinstance(kernel, Dispatcher):  # NUMBA_DISABLE_JIT leaves the function as it is
+        kernel._cache = KernelCache(kernel)
+    return cast(Compiled, kernel)
 
 
 def as_float64(values: Tensor) -> np.ndarray:

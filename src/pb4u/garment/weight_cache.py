@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import io
-import os
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,20 +15,10 @@ from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.io.array_archive import read_arrays
 from pb4u.io.atomic_file import replace_file
+from pb4u.io.cache_folder import cache_folder
 
 ALGORITHM = 1
 """To be raised whenever `borrow_weights` gives different numbers."""
-
-
-def cache_folder() -> Path:
-    """The user's cache folder for this package: XDG_CACHE_HOME, or the platform's own place."""
-    if base := os.environ.get("XDG_CACHE_HOME"):
-        return Path(base) / "pb4u"
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "pb4u" / "cache"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "pb4u"
-    return Path.home() / ".cache" / "pb4u"
 
 
 def garment_weights(garment: Garment, body: ShapedBody) -> SkinningWeights:

@@ -17,11 +17,11 @@ from pb4u.errors import InputError, warn
 from pb4u.export.panels import seam_edges
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
-from pb4u.garment.weight_cache import cache_folder
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.obj_file import group_name, write_obj
 from pb4u.io.array_archive import read_arrays
 from pb4u.io.atomic_file import json_text, replace_file
+from pb4u.io.cache_folder import cache_folder
 from pb4u.io.reading_limits import parse_json
 from pb4u.io.stored_numbers import Layout, read_members, require_places
 from pb4u.pattern.drawing import draw_pattern
