@@ -46,7 +46,7 @@ def compiled_with_free_sums(function: Compiled) -> Compiled:
 def _compiled(function: Compiled, freedom: set[str]) -> Compiled:
     kernel = numba.njit(nogil=True, error_model="numpy", fastmath=freedom)(function)
     if isinstance(kernel, Dispatcher):  # NUMBA_DISABLE_JIT leaves the function as it is
-        kernel._cache = KernelCache(kernel)
+        kernel._cache = KernelCache(kernel)  # type: ignore[attr-defined]
     return cast(Compiled, kernel)
 
 

@@ -16,7 +16,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import CodeType, FunctionType, ModuleType
+from types import CodeType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -131,7 +131,7 @@ def _parts(kernel: Dispatcher, seen: set[Dispatcher]) -> Iterator[str]:
     if kernel in seen:
         return
     seen.add(kernel)
-    function: FunctionType = kernel.py_func
+    function = kernel.py_func
     freedom = sorted(kernel.targetoptions.get("fastmath") or ())
     names = list(_code(function.__code__))
     yield f"{function.__qualname__}{function.__defaults__}{freedom}{names}"
@@ -187,7 +187,7 @@ class _Place:
     def ensure_cache_path(self) -> None: ...
 
 
-class _KernelCode(CompileResultCacheImpl):
+class _KernelCode(CompileResultCacheImpl):  # type: ignore[misc]
     def __init__(self, kernel: Dispatcher) -> None:
         self._locator = _Place(kernel)
         self._lineno = kernel.py_func.__code__.co_firstlineno
@@ -195,7 +195,7 @@ class _KernelCode(CompileResultCacheImpl):
         self._filename_base = self.get_filename_base(name, getattr(sys, "abiflags", ""))
 
 
-class _KernelFiles(FunctionCache):
+class _KernelFiles(FunctionCache):  # type: ignore[misc]
     _impl_class = _KernelCode
 
     def _index_key(self, signature: Any, codegen: Any) -> tuple:
