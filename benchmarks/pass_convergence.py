@@ -51,7 +51,7 @@ def heights(models: dict[str, StepwiseSimulator], scene: str, options: argparse.
     for frame in range(LEAD_IN, len(states) - 1, options.every):
         step = timeline.step_from(states[frame])
         lowest = Solver().minimise(potential.of(step), states[frame + 1].positions)
-        evaluated = potential.of(step).undifferentiated()
+        evaluated = potential.of(step)
         least = float(evaluated.energies(lowest.positions).total)
         weight = float(step.garments.world_weights.sum())
         for name, model in models.items():

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pb4u.physics.step_potential import StepPotential
 from pb4u.physics.terms.collision import REFERENCE_AREA, Collision
+from pb4u.physics.terms.energy_term import CompiledTerm, EnergyTerm
 from pb4u.physics.terms.friction import Friction
 from pb4u.scene.scene import STANDARD_GRAVITY, UP
 
@@ -23,14 +24,20 @@ def readable_stiffness(name: str, frozen: StepPotential, x: Tensor) -> tuple[Ten
     return matrix, torch.zeros_like(matrix)
 
 
+def made_of(frozen: StepPotential, name: str) -> EnergyTerm:
+    """The term of a name, as it was before it was compiled for the step."""
+    term = frozen.potential.term(name)
+    return term.term if isinstance(term, CompiledTerm) else term
+
+
 def stretch(frozen: StepPotential, x: Tensor) -> tuple[Tensor, Tensor]:
     garments = frozen.step.garments
     of_bc = garments.inverse_rest_shape
     shape = torch.cat([-of_bc.sum(1, keepdim=True), of_bc], dim=1)
     f = torch.einsum("fck,fca->fka", shape, x[garments.faces])
     green = 0.5 * (torch.einsum("fka,fla->fkl", f, f) - torch.eye(2, dtype=x.dtype))
-    weight = garments.face_areas * garments.thickness
-    mu, lam = ((weight * modulus)[:, None, None] for modulus in (garments.lame_mu, garments.lame_lambda))
+    _, _, c12, c33 = garments.membrane.unbind(1)
+    mu, lam = ((garments.face_areas * modulus)[:, None, None] for modulus in (c33, c12))
     trace = green.diagonal(dim1=1, dim2=2).sum(1)[:, None, None]
     stress = 2.0 * mu * green + lam * trace * torch.eye(2, dtype=x.dtype)
     values, vectors = torch.linalg.eigh(stress)
@@ -78,7 +85,7 @@ def inertia(frozen: StepPotential, x: Tensor) -> Tensor:
 
 def collision(frozen: StepPotential, x: Tensor) -> Tensor:
     """Exact to a depth of half a millimetre, softer beyond it."""
-    term, step, contacts = frozen.potential.term("collision"), frozen.step, frozen.contacts
+    term, step, contacts = made_of(frozen, "collision"), frozen.step, frozen.contacts
     assert isinstance(term, Collision)
     weight = term.weight / REFERENCE_AREA * step.garments.vertex_areas
     blocks = x.new_zeros((len(x), 3, 3))
@@ -98,7 +105,7 @@ def collision(frozen: StepPotential, x: Tensor) -> Tensor:
 
 def friction(frozen: StepPotential, x: Tensor, softening: float = 0.8) -> Tensor:
     """With a share of the softening along the slip."""
-    term, step, contacts = frozen.potential.term("friction"), frozen.step, frozen.contacts
+    term, step, contacts = made_of(frozen, "friction"), frozen.step, frozen.contacts
     assert isinstance(term, Friction)
     assert contacts.now is not None
     assert contacts.transported is not None
@@ -119,7 +126,7 @@ def friction(frozen: StepPotential, x: Tensor, softening: float = 0.8) -> Tensor
     if term.load is not None:
         depth = (term.load.clearance - distance).clamp(0.0, 2.0 * term.load.clearance)
         force = force.maximum(3.0 * term.load.weight / REFERENCE_AREA * step.garments.vertex_areas * depth**2)
-    limit = torch.where(touching, term.coefficient * force, 0.0)
+    limit = torch.where(touching, step.garments.friction * force, 0.0)
     across = torch.eye(3, dtype=x.dtype) - normal[:, :, None] * normal[:, None, :]
     weights = torch.diag(x.new_tensor([1.0 + 1e-4, 1e-4, 1.0 + 1e-4]))
     slip = torch.einsum("vab,vb->va", across, x - anchor)

@@ -255,11 +255,12 @@ def rode(coefficient: float, share: float, frames: int = 10, settling: int = 4) 
     plate = trimesh.creation.box(extents=[2.0, 0.1, 0.6])
     plate.apply_translation([0.0, 0.55, 0.0])
     garment, limit = sheet(3, 0.15, 0.6018), coefficient * STANDARD_GRAVITY
+    garment = garment.with_material(replace(garment.material, friction=coefficient))
     seconds = np.maximum(np.arange(settling + frames) - settling, 0) / 30.0
     path = (0.5 * share * limit * seconds**2)[:, None] * np.array([1.0, 0.0, 0.0])
     placed = PrescribedPlacement(np.repeat(garment.vertices[None], len(path), axis=0))
     scene = Scene((DressedGarment(garment, placed),), (Rigid(plate, path),), len(path), ground_height=None)
-    potential = FELT.with_term(Friction(coefficient))
+    potential = FELT.with_term(Friction())
     method = StepMethod(refinement=ImplicitSteps(potential=potential), self_contact=FELT.self_contact)
     *_, last = OneMethod(AsPlaced(), method).rollout(scene, RunRecord())
     way = (last.positions.numpy() - garment.vertices)[:, 0].mean()

@@ -59,7 +59,7 @@ class JacobiPass:
 
     def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
         x = integrate(step, accelerations).positions
-        return self.share * JacobiDescent(step.garments, step.dt).at(self.potential.of(step).undifferentiated(), x)
+        return self.share * JacobiDescent(step.garments, step.dt).at(self.potential.of(step), x)
 
 
 def energies_after(step: TimeStep, method: StepMethod) -> list[float]:

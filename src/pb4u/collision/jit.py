@@ -34,6 +34,17 @@ def compiled_with_fused_products(function: Compiled) -> Compiled:
     return _compiled(function, {"contract"})
 
 
+def compiled_into_callers(function: Compiled) -> Compiled:
+    """As `compiled_with_fused_products`, for what a loop calls once an element: its code becomes part of the loop's.
+
+    Args:
+        function: what is compiled.
+    """
+    return cast(
+        Compiled, numba.njit(nogil=True, error_model="numpy", fastmath={"contract"}, forceinline=True)(function)
+    )
+
+
 def compiled_with_free_sums(function: Compiled) -> Compiled:
     """As `compiled_with_fused_products`, and sums over columns taken in any order, many columns at once.
 

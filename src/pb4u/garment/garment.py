@@ -11,7 +11,7 @@ from pb4u.body.skinning import SkinningWeights, strongest_influences
 from pb4u.errors import InputError
 from pb4u.garment.material import Material
 from pb4u.geometry.appearance import Appearance, Appearances
-from pb4u.geometry.mesh_arrays import as_numbers, checked_faces, checked_vertices
+from pb4u.geometry.mesh_arrays import as_numbers, checked_faces, checked_places, checked_vertices
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import edge_lengths, face_areas
@@ -81,7 +81,7 @@ class Garment:
         name: what the user called it.
         vertices: (vertices, 3) float64 rest positions [m], where they sit on the resting body.
         faces: (faces, 3) int64, counter-clockwise from outside.
-        material: cloth material.
+        material: cloth of all faces; of several materials, the one that covers most.
         pinned: (vertices,) bool, vertices that follow the body; left out, none does.
         uvs: (uv points, 2) float64 of the simulated mesh, or None.
         uv_faces: (faces, 3) int64 into `uvs`, or None.
@@ -95,6 +95,8 @@ class Garment:
         appearances: colours and images of the faces, or None.
         panels: names of the pattern's panels, where it was sewn of one: each is an island of `uv_faces`, in the order
             of their first UV points.
+        materials: cloths of its parts; left out, `material` alone.
+        face_material: (faces,) int64 which of the `materials` each face is made of; None for the first.
 
     Raises:
         InputError: an array has another shape, or holds what cannot be used. Lists are taken for arrays.
@@ -114,6 +116,8 @@ class Garment:
     rest_uv: np.ndarray | None = None
     appearances: Appearances | None = None
     panels: tuple[str, ...] = ()
+    materials: tuple[Material, ...] = ()
+    face_material: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         owner = f"garment {self.name}"
@@ -128,11 +132,11 @@ class Garment:
                 f"{owner}: pinned is a bool for each of its {len(vertices)} vertices; vertices by number are pinned by "
                 "make_scene(pins=[..])."
             )
-        if not isinstance(self.material, Material):
-            raise InputError(
-                f'{owner}: its material must be a Material, such as pb4u.Material.named("cotton"), not '
-                f"{self.material!r}."
-            )
+        for material in (self.material, *self.materials):
+            if not isinstance(material, Material):
+                raise InputError(
+                    f'{owner}: a material must be a Material, such as pb4u.Material.named("cotton"), not {material!r}.'
+                )
         if (self.uvs is None) != (self.uv_faces is None):
             raise InputError(f"{owner}: uvs and uv_faces belong together; give both or neither.")
         if self.uvs is not None and self.uv_faces is not None:
@@ -145,6 +149,14 @@ class Garment:
             checked |= {"uvs": uvs, "uv_faces": uv_faces}
         for name, array in checked.items():
             object.__setattr__(self, name, array)
+        if self.face_material is not None:
+            places = checked_places(owner, "face_material", self.face_material, len(self.faces), len(self.materials))
+            covered = np.bincount(places, weights=self.face_areas, minlength=len(self.materials))
+            object.__setattr__(self, "face_material", places)
+            object.__setattr__(self, "material", self.materials[int(covered.argmax())])
+        elif len(self.materials) > 1:
+            raise InputError(f"{owner}: of {len(self.materials)} materials, face_material says which each face has.")
+        object.__setattr__(self, "materials", tuple(self.materials) if self.face_material is not None else ())
 
     @property
     def mesh(self) -> PolygonMesh:
@@ -171,13 +183,41 @@ class Garment:
     @cached_property
     def vertex_areas(self) -> np.ndarray:
         """Rest areas (vertices,) [m^2] that belong to the vertices: a third of each incident face."""
-        weights = np.repeat(self.face_areas / 3.0, 3)
-        return np.bincount(self.faces.reshape(-1), weights=weights, minlength=len(self.vertices))
+        return self.at_vertices(self.face_areas)
+
+    def of_faces(self, name: str) -> np.ndarray:
+        """A property of the material of each face, (faces,) or (faces, numbers) in its unit.
+
+        Args:
+            name: attribute of `Material`.
+        """
+        materials = self.materials or (self.material,)
+        places = np.zeros(len(self.faces), dtype=np.int64) if self.face_material is None else self.face_material
+        return np.array([getattr(material, name) for material in materials], dtype=np.float64)[places]
+
+    def at_vertices(self, values: np.ndarray) -> np.ndarray:
+        """Sums (vertices,) of a third of the values of the incident faces, in their unit.
+
+        Args:
+            values: (faces,) of any unit.
+        """
+        return np.bincount(self.faces.ravel(), weights=np.repeat(values / 3.0, 3), minlength=len(self.vertices))
+
+    @cached_property
+    def hinge_bending(self) -> np.ndarray:
+        """Bending coefficients (hinges,) [J]: two materials bend in series, each as wide as its face."""
+        hinge_faces = self.topology.hinge_faces
+        bending, areas = self.of_faces("bending")[hinge_faces], self.face_areas[hinge_faces]
+        with np.errstate(divide="ignore"):
+            series = areas.sum(axis=1) / (areas / bending).sum(axis=1)
+        return np.where(bending[:, 0] == bending[:, 1], bending[:, 0], series)
 
     @cached_property
     def vertex_masses(self) -> np.ndarray:
         """Masses (vertices,) [kg] of the vertices."""
-        return self.material.density * self.vertex_areas
+        if self.face_material is None:
+            return self.material.density * self.vertex_areas
+        return self.at_vertices(self.of_faces("density") * self.face_areas)
 
     @cached_property
     def edge_lengths(self) -> np.ndarray:
@@ -206,7 +246,18 @@ class Garment:
         return len(self.faces)
 
     def with_material(self, material: Material) -> Garment:
-        return replace(self, material=material)
+        return replace(self, material=material, materials=(), face_material=None)
+
+    def with_part(self, material: Material, faces: np.ndarray) -> Garment:
+        """With another material on some faces.
+
+        Args:
+            material: of those faces.
+            faces: (faces,) bool.
+        """
+        own = self.materials or (self.material,)
+        places = np.zeros(len(self.faces), dtype=np.int64) if self.face_material is None else self.face_material
+        return replace(self, materials=(*own, material), face_material=np.where(faces, len(own), places))
 
     def with_pins(self, pinned: np.ndarray) -> Garment:
         return replace(self, pinned=pinned)

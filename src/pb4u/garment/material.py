@@ -19,9 +19,11 @@ class Material:
         lame_lambda: first Lame parameter [Pa].
         bending: bending coefficient [J].
         thickness: [m].
+        friction: coefficient of friction on skin and on the ground.
 
     Raises:
-        InputError: a number is negative or not finite, or zero where only `lame_lambda` and `bending` may be.
+        InputError: a number is negative or not finite, or zero where only `lame_lambda`, `bending` and
+            `friction` may be.
     """
 
     density: float
@@ -29,6 +31,18 @@ class Material:
     lame_lambda: float
     bending: float
     thickness: float = 4.7e-4
+    friction: float = 0.5
+
+    @property
+    def membrane(self) -> tuple[float, float, float, float]:
+        """Moduli c11, c22, c12 and c33 [N/m] of the cloth as a membrane, along its grain."""
+        mu, lam = self.lame_mu * self.thickness, self.lame_lambda * self.thickness
+        return 2.0 * mu + lam, 2.0 * mu + lam, lam, mu
+
+    @property
+    def five_numbers(self) -> dict[str, float]:
+        """The numbers that trajectories of the first version have, by name."""
+        return {name: value for name, value in vars(self).items() if name != "friction"}
 
     @classmethod
     def named(cls, name_or_path: str | Path) -> Material:
@@ -41,7 +55,7 @@ class Material:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            lowest_allowed = 0.0 if name in ("lame_lambda", "bending") else None
+            lowest_allowed = 0.0 if name in ("lame_lambda", "bending", "friction") else None
             if not (value > 0 if lowest_allowed is None else value >= lowest_allowed) or value == float("inf"):
                 limit = "positive" if lowest_allowed is None else "zero or positive"
                 raise InputError(f"Material {name} must be {limit} and finite, not {value}.")
@@ -95,7 +109,7 @@ def _read_material(path: Path) -> Material:
     entries = set(record) if isinstance(record, dict) else set()
     if unknown := sorted(entries - set(known)):
         raise InputError(f"The material file {path} has unknown entries {unknown}: use {', '.join(known)}.")
-    if missing := sorted(set(known) - {"thickness"} - entries):
+    if missing := sorted(set(known) - {"thickness", "friction"} - entries):
         raise InputError(f"The material file {path} lacks {', '.join(missing)}; it must hold one object with them.")
     for key, value in record.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)):

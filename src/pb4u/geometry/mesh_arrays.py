@@ -70,3 +70,24 @@ def checked_faces(owner: str, faces: ArrayLike, count: int, what: str = "faces")
     if len(bad):
         raise InputError(f"{owner}: face {bad[0]} is {array[bad[0]].tolist()}; indices run from 0 to {count - 1}.")
     return array.astype(np.int64, copy=False)
+
+
+def checked_places(owner: str, what: str, places: ArrayLike, rows: int, count: int) -> np.ndarray:
+    """Places (rows,) int64 in a list.
+
+    Args:
+        owner: what they belong to, for the message.
+        what: name of the places, for the message.
+        places: array or list of that shape.
+        rows: number of places.
+        count: entries of the list.
+
+    Raises:
+        InputError: another shape, no whole numbers, or an entry that is not there.
+    """
+    array = as_numbers(owner, what, places)
+    if array.shape != (rows,) or array.dtype.kind not in "iu":
+        raise InputError(f"{owner}: {what} is a whole number for each of its {rows} faces.")
+    if rows and (array.min() < 0 or array.max() >= count):
+        raise InputError(f"{owner}: {what} has {array.min()} to {array.max()}; entries run from 0 to {count - 1}.")
+    return array.astype(np.int64, copy=False)

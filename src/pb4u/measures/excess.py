@@ -67,7 +67,7 @@ class StepMinima:
             step: garments in float64 on the CPU.
             x: (vertices, 3) [m] at its end.
         """
-        return float(self.potential.of(step).undifferentiated().energies(x).total)
+        return float(self.potential.of(step).energies(x).total)
 
     def lowest(self, step: TimeStep, starts: Iterable[Tensor]) -> Minimum:
         """Lowest of the minima that the solver reaches; one solve a start.

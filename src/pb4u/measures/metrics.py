@@ -181,14 +181,28 @@ def packed_garments(trajectory: Trajectory) -> PackedGarments:
 
 
 def _garment(header: TrajectoryHeader, entry: dict[str, Any]) -> Garment:
-    material = Material(**{key: float(value) for key, value in entry["material"].items()})
     vertices, triangles = slice(*entry["vertices"]), slice(*entry["triangles"])
     rest = np.asarray(header.rest_positions[vertices], dtype=np.float64)
     faces = header.faces[triangles] - vertices.start
     flat = None if header.rest_uv is None else np.asarray(header.rest_uv[triangles], dtype=np.float64)
     if flat is not None and not np.isfinite(flat).all():
         flat = None
-    return Garment(str(entry["name"]), rest, faces, material, header.pinned[vertices], rest_uv=flat)
+    material = _material(entry["material"])
+    garment = Garment(str(entry["name"]), rest, faces, material, header.pinned[vertices], rest_uv=flat)
+    for listed in header.metadata.get("materials", ()):
+        of_faces = np.zeros(len(header.faces), dtype=bool)
+        for first, stop in listed["faces"]:
+            of_faces[first:stop] = True
+        if of_faces[triangles].all():
+            return garment.with_material(_material(listed))
+        if of_faces[triangles].any():
+            garment = garment.with_part(_material(listed), of_faces[triangles])
+    return garment
+
+
+def _material(entry: dict[str, Any]) -> Material:
+    known = Material.__dataclass_fields__
+    return Material(**{key: float(value) for key, value in entry.items() if key in known})
 
 
 def visible_skin(

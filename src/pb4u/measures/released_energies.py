@@ -25,20 +25,7 @@ def released_potential() -> IncrementalPotential:
     return potential
 
 
-class MeasuredTerm(EnergyTerm):
-    """A term that is measured rather than minimised: its gradient comes from autograd, and it has no curvature."""
-
-    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        with torch.enable_grad():
-            variable = x.detach().requires_grad_(True)
-            energies = self.energies(step, contacts, variable)
-            if not energies.requires_grad:
-                return energies, torch.zeros_like(x)
-            (gradient,) = torch.autograd.grad(energies.sum(), variable)
-        return energies.detach(), gradient
-
-
-class ReleasedGravity(MeasuredTerm):
+class ReleasedGravity(EnergyTerm):
     """Minus the sum over vertices of m g . x' [J], with heights from the world's origin."""
 
     name = "gravity"
@@ -50,7 +37,7 @@ class ReleasedGravity(MeasuredTerm):
 
 
 @dataclass(frozen=True)
-class ReleasedCollision(MeasuredTerm):
+class ReleasedCollision(EnergyTerm):
     """The family's released collision, for tables: w max(eps - d_i, 0)^3 summed over vertices, without area or ground.
 
     d_i is the height over the plane, at t+1, of the face whose centre was nearest at t.
@@ -75,7 +62,7 @@ class ReleasedCollision(MeasuredTerm):
 
 
 @dataclass(frozen=True)
-class ReleasedFriction(MeasuredTerm):
+class ReleasedFriction(EnergyTerm):
     """The family's released friction, for tables: not smoothed, gates on squared distances, the third axis as up.
 
     Sum of mu m g c |s| over vertices whose nearest face centres before and after the step both lie within

@@ -165,9 +165,7 @@ class Sewing:
         closing = self.smooth.without_self_contact() if crosses else self.smooth
         thin = self.pose(share, 0.0)
         for softness in _SOFTNESS:
-            soft = packed if softness == 1.0 else replace(
-                packed, lame_mu=softness * packed.lame_mu, lame_lambda=softness * packed.lame_lambda
-            )  # fmt: skip
+            soft = packed if softness == 1.0 else replace(packed, membrane=softness * packed.membrane)
             x = self.step(soft, x, solver, closing, (thin, thin))
         if crosses:
             x = torch.from_numpy(untangled_start([garment], x.numpy()))

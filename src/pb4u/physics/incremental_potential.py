@@ -81,7 +81,7 @@ class IncrementalPotential:
         return replace(self, terms=tuple(new if term.name == new.name else term for term in self.terms))
 
     def of(self, step: TimeStep) -> StepPotential:
-        """The potential of `step`, with the contacts of the body at its start queried.
+        """The potential of `step`, with the contacts of the body at its start queried; compiled on a processor.
 
         Args:
             step: the time step.
@@ -90,4 +90,7 @@ class IncrementalPotential:
         feels_bodies = self.self_contact is not None and self.self_contact.feels_bodies
         if feels_bodies and contacts.now is not None and step.sags is not None:
             contacts = replace(contacts, now=contacts.now.raised(step.sags), raised=step.sags)
-        return StepPotential(self, step, contacts)
+        computed = self
+        if step.is_on_a_processor:
+            computed = replace(self, terms=tuple(term.compiled(step, contacts) for term in self.terms))
+        return StepPotential(computed, step, contacts)

@@ -234,7 +234,7 @@ class StepPotential:
         def at(x: Tensor) -> Tensor:
             return self.energies(x).per_world(self.step.garments)
 
-        return torch.vmap(at)(xs) if self._batches else torch.stack([at(x) for x in xs])
+        return torch.vmap(at)(xs) if self.step.batches else torch.stack([at(x) for x in xs])
 
     def gradients(self, xs: Tensor) -> tuple[Tensor, Tensor]:
         """The same sums (positions, worlds) [J], and the gradients (positions, vertices, 3) [N].
@@ -247,32 +247,15 @@ class StepPotential:
             energies, gradient = self.energies_and_gradient(x)
             return energies.per_world(self.step.garments), gradient
 
-        if self._batches:
+        if self.step.batches:
             return torch.vmap(at)(xs)
         energies, gradients = zip(*map(at, xs), strict=True)
         return torch.stack(energies), torch.stack(gradients)
-
-    @property
-    def _batches(self) -> bool:
-        """Whether several positions take as many launches as one: on an accelerator."""
-        bodies = self.step.bodies
-        return bodies is not None and bodies.colliders.rooms is not None
 
     def elements(self) -> dict[str, Tensor]:
         """The vertices that the terms couple, as in `EnergyTerm.elements`."""
         parts = {term.name: term.elements(self.step, self.contacts) for term in self.potential.terms}
         return {name: part for name, part in parts.items() if part is not None}
-
-    def compiled(self) -> StepPotential:
-        """This potential as the solver evaluates it: each term compiled, without autograd."""
-        terms = tuple(term.compiled(self.step, self.contacts) for term in self.potential.terms)
-        return replace(self, potential=replace(self.potential, terms=terms))
-
-    def undifferentiated(self) -> StepPotential:
-        """This potential for its numbers alone: compiled where the garments are what the solver computes with."""
-        garments = self.step.garments
-        of_solver = garments.dtype == torch.float64 and garments.device.type == "cpu" and not self._batches
-        return self.compiled() if of_solver else self
 
     def stiffness(self, x: Tensor, pattern: StiffnessPattern) -> Stiffness:
         """Second derivative, or one near it, of the terms that couple `elements`.
@@ -298,7 +281,7 @@ class StepPotential:
         return sums
 
     def tangents(self, x: Tensor, pattern: StiffnessPattern) -> list[Tangent]:
-        """Parts of the model of a Newton step that can be relinearised, as in `CompiledTerm.tangents`.
+        """Parts of the model of a Newton step that can be relinearised, as in `EnergyTerm.tangents`.
 
         Args:
             x: (vertices, 3) [m] where the step begins.
@@ -306,7 +289,7 @@ class StepPotential:
         """
         contacts = self._contacts_at(x)
         terms = self._coupling(pattern)
-        return [part for term in terms for part in term.tangents(self.step, contacts, as_float64(x), pattern)]
+        return [part for term in terms for part in term.tangents_at(self.step, contacts, as_float64(x), pattern)]
 
     def _coupling(self, pattern: StiffnessPattern) -> list[CompiledTerm]:
         """Terms that couple the elements of a pattern."""

@@ -70,6 +70,18 @@ class TimeStep:
         return None if self.collider.empty else self.collider
 
     @property
+    def batches(self) -> bool:
+        """Whether several positions take as many launches as one: on an accelerator."""
+        return self.bodies is not None and self.bodies.colliders.rooms is not None
+
+    @property
+    def is_on_a_processor(self) -> bool:
+        """Whether compiled loops compute it: not on an accelerator, nor where autograd goes back to its start."""
+        state = self.state
+        starts_fixed = not (state.positions.requires_grad or state.velocities.requires_grad)
+        return self.garments.device.type == "cpu" and not self.batches and starts_fixed
+
+    @property
     def ground_height(self) -> float | None:
         """Height of the ground plane [m], or None."""
         return self.collider.ground_height

@@ -36,14 +36,14 @@ class PackedGarments:
         faces: (faces, 3) int64 into the packed vertices.
         inverse_rest_shape: (faces, 2, 2) [1/m] inverse of the rest triangle's edge matrix in its own plane.
         face_areas: (faces,) rest areas [m^2].
-        lame_mu: (faces,) [Pa].
-        lame_lambda: (faces,) [Pa].
+        membrane: (faces, 4) moduli c11, c22, c12 and c33 [N/m] along the axes of the rest shape.
         thickness: (faces,) [m].
         edges: (edges, 2) int64.
         edge_lengths: (edges,) rest lengths [m].
         hinges: (hinges, 4) int64 edge v0 v1, opposite v2, opposite v3.
         hinge_areas: (hinges,) both rest areas summed [m^2].
         bending: (hinges,) coefficient [J].
+        friction: (vertices,) coefficient of friction on skin and ground.
         vertex_masses: (vertices,) [kg].
         vertex_areas: (vertices,) [m^2].
         pinned: (vertices,) bool.
@@ -61,14 +61,14 @@ class PackedGarments:
     faces: Tensor
     inverse_rest_shape: Tensor
     face_areas: Tensor
-    lame_mu: Tensor
-    lame_lambda: Tensor
+    membrane: Tensor
     thickness: Tensor
     edges: Tensor
     edge_lengths: Tensor
     hinges: Tensor
     hinge_areas: Tensor
     bending: Tensor
+    friction: Tensor
     vertex_masses: Tensor
     vertex_areas: Tensor
     pinned: Tensor
@@ -80,6 +80,16 @@ class PackedGarments:
     mean_edge_lengths: tuple[float, ...]
     garments: tuple[Garment, ...]
     worlds: tuple[int, ...]
+
+    @property
+    def lame_mu(self) -> Tensor:
+        """Second Lame parameter (faces,) [Pa] of the isotropic cloth that is nearest: what networks read."""
+        return self.membrane[:, 3] / self.thickness
+
+    @property
+    def lame_lambda(self) -> Tensor:
+        """First Lame parameter (faces,) [Pa] of the isotropic cloth that is nearest: what networks read."""
+        return self.membrane[:, 2] / self.thickness
 
     @property
     def world_count(self) -> int:
@@ -237,6 +247,14 @@ def inverse_rest_shapes(corners: np.ndarray) -> np.ndarray:
     return inverse
 
 
+def _mean_at_vertices(garment: Garment, values: np.ndarray) -> np.ndarray:
+    """Means (vertices,) of `values` (faces,) over the faces around each vertex, by area; the largest where none is."""
+    if garment.face_material is None:
+        return np.full(len(garment.vertices), values[0])
+    sums = garment.at_vertices(values * garment.face_areas)
+    return np.where(garment.vertex_areas > 0, sums / np.maximum(garment.vertex_areas, 1e-30), values.max())
+
+
 def pack(
     garments: Sequence[Garment],
     dtype: torch.dtype = torch.float64,
@@ -266,21 +284,21 @@ def pack(
         return torch.as_tensor(np.repeat(np.arange(len(garments)), counts), dtype=torch.int64, device=device)
 
     def per_face(name: str) -> Tensor:
-        return real([np.full(len(g.faces), getattr(g.material, name)) for g in garments])
+        return real([g.of_faces(name) for g in garments])
 
     return PackedGarments(
         rest_positions=real([g.vertices for g in garments]),
         faces=index([g.faces for g in garments]),
         inverse_rest_shape=real([inverse_rest_shapes(g.rest_corners) for g in garments]),
         face_areas=real([g.face_areas for g in garments]),
-        lame_mu=per_face("lame_mu"),
-        lame_lambda=per_face("lame_lambda"),
+        membrane=per_face("membrane"),
         thickness=per_face("thickness"),
         edges=index([g.topology.edges for g in garments]),
         edge_lengths=real([g.edge_lengths for g in garments]),
         hinges=index([g.topology.hinges for g in garments]),
         hinge_areas=real([g.face_areas[g.topology.hinge_faces].sum(axis=1) for g in garments]),
-        bending=real([np.full(len(g.topology.hinges), g.material.bending) for g in garments]),
+        bending=real([g.hinge_bending for g in garments]),
+        friction=real([_mean_at_vertices(g, g.of_faces("friction")) for g in garments]),
         vertex_masses=real([g.vertex_masses for g in garments]),
         vertex_areas=real([g.vertex_areas for g in garments]),
         pinned=torch.as_tensor(np.concatenate([g.pinned for g in garments]), device=device),

@@ -70,7 +70,7 @@ class TrajectoryHeader:
         described = [
             {
                 "name": garment.name,
-                "material": asdict(garment.material),
+                "material": garment.material.five_numbers,
                 "vertices": vertices[k : k + 2],
                 "triangles": triangles[k : k + 2],
                 "source": sources[k],
@@ -87,7 +87,12 @@ class TrajectoryHeader:
             body_faces=joined_indices([body.faces for body in bodies], offsets([body.contact for body in bodies])),
             body_contact=np.concatenate([body.contact for body in bodies]),
             fps=scene.fps,
-            metadata={"garments": described, "material": described[0]["material"], **metadata},
+            metadata={
+                "garments": described,
+                "material": described[0]["material"],
+                "materials": _materials(garments, triangles),
+                **metadata,
+            },
             uvs=uvs,
             uv_faces=uv_faces,
             source=SourceTrack.joined(garments),
@@ -137,6 +142,20 @@ class TrajectoryHeader:
     def with_metadata(self, **entries: Any) -> TrajectoryHeader:
         """Copy of the header with some metadata entries replaced."""
         return replace(self, metadata={**self.metadata, **entries})
+
+
+def _materials(garments: Sequence[Garment], first_triangles: Sequence[int]) -> list[dict[str, Any]]:
+    """Every material of every garment, with the ranges [first, stop) of the triangles made of it."""
+    listed = []
+    for garment, first in zip(garments, first_triangles, strict=False):
+        for number, material in enumerate(garment.materials or (garment.material,)):
+            made = np.ones(len(garment.faces), dtype=bool)
+            if garment.face_material is not None:
+                made = garment.face_material == number
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], made, [False]])))
+            ranges = (edges.reshape(-1, 2) + first).tolist()
+            listed.append({"garment": garment.name, **asdict(material), "faces": ranges})
+    return listed
 
 
 def _joined_rest(garments: Sequence[Garment]) -> np.ndarray | None:

@@ -128,7 +128,7 @@ class DescentFeature:
             incident_length: (vertices,) mean rest length of the edges at each vertex [m].
         """
         x = integrate(step, accelerations).positions
-        strain = self._descent(step).at(self._potential.of(step).undifferentiated(), x) / incident_length.to(x)[:, None]
+        strain = self._descent(step).at(self._potential.of(step), x) / incident_length.to(x)[:, None]
         size = strain.norm(dim=1, keepdim=True) / _LINEAR_UP_TO
         return strain * torch.where(size > 1e-6, torch.log1p(size) / size.clamp_min(1e-6), 1.0)
 

@@ -68,7 +68,7 @@ def _lengths(step: TimeStep, accelerations: Tensor, directions: Tensor) -> tuple
     """
     x = integrate(step, accelerations).positions
     # The body's tangent planes where the whole pass leads are exact enough to choose by, and queried once.
-    potential = IncrementalPotential().of(step).undifferentiated().with_contact_at(x + directions[0])
+    potential = IncrementalPotential().of(step).with_contact_at(x + directions[0])
     (before, at_whole, *_), (gradient, *others) = potential.gradients(torch.stack([x, *(x + directions)]))
     changes = torch.stack(others) - gradient
 

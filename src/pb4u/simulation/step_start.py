@@ -39,7 +39,7 @@ class BodyMotionWarmStart:
         free = integrate(step, torch.zeros_like(step.state.positions)).positions
         if step.skinned_motion is None:
             return torch.zeros_like(free)
-        garments, potential = step.garments, self.potential.of(step).undifferentiated()
+        garments, potential = step.garments, self.potential.of(step)
         missing = step.skinned_motion - step.dt * step.state.velocities
         missing = torch.where(garments.pinned[:, None], 0.0, missing)
         shares = constant((0.0, *self.shares), missing.dtype, missing.device)

@@ -125,10 +125,10 @@ def _in_material(packed: PackedGarments, material: Material) -> PackedGarments:
     """A pack of one garment, made of `material`."""
     return replace(
         packed,
-        lame_mu=torch.full_like(packed.lame_mu, material.lame_mu),
-        lame_lambda=torch.full_like(packed.lame_lambda, material.lame_lambda),
+        membrane=packed.membrane.new_tensor(material.membrane).expand_as(packed.membrane),
         thickness=torch.full_like(packed.thickness, material.thickness),
         bending=torch.full_like(packed.bending, material.bending),
+        friction=torch.full_like(packed.friction, material.friction),
         vertex_masses=material.density * packed.vertex_areas,
         garments=tuple(garment.with_material(material) for garment in packed.garments),
     )

@@ -156,7 +156,7 @@ class Solver:
         watch: Callable[[Iteration], None] | None,
         until: Callable[[Tensor], bool] | None,
     ) -> Solution:
-        potential, garments = potential.compiled(), potential.step.garments
+        garments = potential.step.garments
         limit = self.max_iterations if iterations is None else iterations
         if not bool(torch.isfinite(start).all()):
             raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from pb4u.collision.jit import as_float64, compiled
-from pb4u.physics.contact.contact_set import ContactSet
-from pb4u.physics.terms.energy_term import (
-    CompiledTerm,
-    EnergyTerm,
-    Tangent,
-    constant,
-    sum_by_garment,
-    vertex_elements,
-)
-from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
+from pb4u.physics.contact.contact_set import ContactPlanes, ContactSet
+from pb4u.physics.terms.element_loops import SECOND, VALUE, Record, each_vertex, element_loops, vertex_record
+from pb4u.physics.terms.energy_term import EnergyTerm, Tangent, constant, sum_by_garment
+from pb4u.physics.terms.stiffness_matrix import StiffnessPattern
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.scene import STANDARD_GRAVITY, UP
 
@@ -44,7 +39,36 @@ _TWICE = 2.0
 """Multiple of its own weight that a vertex' first contact is taken to bear, where nothing better is known."""
 
 
-_Planes = tuple[np.ndarray, np.ndarray, np.ndarray]
+def _vertex(
+    x: np.ndarray,
+    corners: np.ndarray,
+    numbers: np.ndarray,
+    vertex: int,
+    wanted: int,
+    forces: np.ndarray,
+    blocks: np.ndarray,
+    factors: np.ndarray,
+) -> float:
+    """One vertex; its numbers are its weight [J/m^3], the clearance [m], and a point [m] and the normal of its plane.
+
+    The second derivative is exact to half a millimetre's depth and softer beyond, so that one Newton step brings a deep
+    vertex to the surface instead of half way.
+    """
+    weight, depth = numbers[vertex, 0], numbers[vertex, 1]
+    for axis in range(3):
+        depth -= (x[vertex, axis] - numbers[vertex, 2 + axis]) * numbers[vertex, 5 + axis]
+    depth = max(depth, 0.0) if weight > 0.0 else 0.0
+    energy = weight * depth * depth * depth
+    if wanted == VALUE:
+        return energy
+    pull = 3.0 * weight * depth * depth
+    stiffness = 3.0 * weight * (depth + min(depth, _EXACT_DEPTH))
+    for i in range(3):
+        forces[0, i] = -pull * numbers[vertex, 5 + i]
+        if wanted == SECOND:
+            for j in range(3):
+                blocks[0, i, j] = stiffness * numbers[vertex, 5 + i] * numbers[vertex, 5 + j]
+    return energy
 
 
 @dataclass(frozen=True)
@@ -62,6 +86,7 @@ class Collision(EnergyTerm):
     weight: float = 5e3
     clearance: float = 2e-3
     name = "collision"
+    loops = element_loops(_vertex, 1)
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         weight = self._vertex_weight(step)
@@ -70,19 +95,33 @@ class Collision(EnergyTerm):
             energy = energy + weight * depth**3
         return sum_by_garment(energy, step.garments.vertex_garment, step.garments.garment_count)
 
-    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        weight = self._vertex_weight(step)
-        energy, gradient = torch.zeros_like(x[:, 0]), torch.zeros_like(x)
-        for depth, normal in self._depths(step, contacts, x):
-            energy = energy + weight * depth**3
-            gradient = gradient - (3.0 * weight * depth * depth)[:, None] * normal
-        return sum_by_garment(energy, step.garments.vertex_garment, step.garments.garment_count), gradient
-
     def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
-        return vertex_elements(step.garments)
+        return each_vertex(step.garments)
 
-    def compiled(self, step: TimeStep, contacts: ContactSet) -> CompiledCollision:
-        return CompiledCollision(self, step)
+    def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
+        garments, weight = step.garments, as_float64(self._vertex_weight(step))
+        ground = []
+        if step.ground_height is not None:
+            up = np.tile(UP, (len(weight), 1))
+            ground = [vertex_record(garments, weight, self.clearance, step.ground_height * up, up)]
+
+        @lru_cache(maxsize=2)  # those of a Newton step are asked for at every place that it tries
+        def record(planes: ContactPlanes) -> Record:
+            points, normals = as_float64(planes.points), as_float64(planes.normals)
+            return vertex_record(garments, weight * planes.touchable.numpy(), self.clearance, points, normals)
+
+        def records(at: ContactSet) -> Sequence[Record]:
+            return [*(record(planes) for planes in (at.next, at.opposite) if planes is not None), *ground]
+
+        return records
+
+    def tangents(
+        self, step: TimeStep, x: np.ndarray, records: Sequence[Record], pattern: StiffnessPattern
+    ) -> list[Tangent]:
+        loads = _TWICE * STANDARD_GRAVITY * as_float64(step.garments.vertex_masses)
+        weight, slots = as_float64(self._vertex_weight(step)), pattern.slots[self.name][:, 0]
+        bearing = np.sqrt(loads / np.maximum(3.0 * weight, 1e-300))
+        return [_tangent(x, record.numbers, pattern.free, bearing, slots) for record in records]
 
     def _vertex_weight(self, step: TimeStep) -> Tensor:
         return (self.weight / REFERENCE_AREA) * step.garments.vertex_areas
@@ -98,121 +137,14 @@ class Collision(EnergyTerm):
             yield (self.clearance - (x[:, 1] - step.ground_height)).clamp_min(0.0), up
 
 
-class CompiledCollision(CompiledTerm, Collision):
-    """`Collision` compiled for one step, with its second derivative: exact to half a millimetre's depth, softer beyond.
-
-    Softer, so that one Newton step brings a deep vertex to the surface instead of half way.
-
-    Args:
-        term: what it stands for.
-        step: the time step.
-    """
-
-    def __init__(self, term: Collision, step: TimeStep) -> None:
-        super().__init__(term.weight, term.clearance)
-        self._weight = self._vertex_weight(step).numpy()
-        self._garment = step.garments.vertex_garment.numpy()
-        self._ground: _Planes | None = None
-        if step.ground_height is not None:
-            up = np.broadcast_to(np.array(UP), (len(self._weight), 3))
-            everywhere = np.ones(len(self._weight), dtype=bool)
-            self._ground = (step.ground_height * up, np.ascontiguousarray(up), everywhere)
-
-    def add(self, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray) -> None:
-        for planes in self._planes(contacts):
-            _add_gradient(x, *planes, self._weight, self.clearance, self._garment, energies, gradient)
-
-    def add_stiffness(self, contacts: ContactSet, x: np.ndarray, slots: np.ndarray, stiffness: Stiffness) -> None:
-        for planes in self._planes(contacts):
-            _add_stiffness(x, *planes, self._weight, self.clearance, slots, stiffness.positive)
-
-    def tangents(self, step: TimeStep, contacts: ContactSet, x: np.ndarray, pattern: StiffnessPattern) -> list[Tangent]:
-        loads = _TWICE * STANDARD_GRAVITY * step.garments.vertex_masses.numpy()
-        bearing = np.sqrt(loads / np.maximum(3.0 * self._weight, 1e-300))
-        slots = pattern.slots[self.name][:, 0]
-        return [
-            _tangent(x, planes, self._weight * pattern.free, self.clearance, bearing, slots)
-            for planes in self._planes(contacts)
-        ]
-
-    def _planes(self, contacts: ContactSet) -> Iterator[_Planes]:
-        """Points, normals and whether the plane counts, of the bodies and of the ground."""
-        for planes in (contacts.next, contacts.opposite):
-            if planes is not None:
-                yield as_float64(planes.points), as_float64(planes.normals), planes.touchable.numpy()
-        if self._ground is not None:
-            yield self._ground
-
-
-def _tangent(
-    vertices: np.ndarray,
-    planes: _Planes,
-    weight: np.ndarray,
-    clearance: float,
-    bearing: np.ndarray,
-    slots: np.ndarray,
-) -> Tangent:
-    """Contact of each of the `vertices` (vertices, 3) [m] with one plane, as in `_follow`."""
-    points, normals, counts = planes
-    depths = clearance - np.einsum("vi,vi->v", vertices - points, normals)
-    law = np.where(counts, weight, 0.0), normals, depths, bearing, slots
+def _tangent(x: np.ndarray, planes: np.ndarray, free: np.ndarray, bearing: np.ndarray, slots: np.ndarray) -> Tangent:
+    """Contact of each vertex of `x` (vertices, 3) [m] that is free with one plane, as in `_follow`."""
+    weight, normals = planes[:, 0] * free, np.ascontiguousarray(planes[:, 5:])
+    depths = planes[:, 1] - np.einsum("vi,vi->v", x - planes[:, 2:5], normals)
+    law = weight, normals, depths, bearing, slots
     laid = np.maximum(depths, 0.0)
     stiffnesses = 3.0 * weight * (laid + np.minimum(laid, _EXACT_DEPTH))
     return lambda moves, stiffness, *forces: _follow(moves, *law, laid, stiffnesses, stiffness.positive, *forces)
-
-
-@compiled
-def _add_gradient(
-    vertices: np.ndarray,
-    points: np.ndarray,
-    normals: np.ndarray,
-    counts: np.ndarray,
-    weight: np.ndarray,
-    clearance: float,
-    garment: np.ndarray,
-    energies: np.ndarray,
-    gradient: np.ndarray,
-) -> None:
-    """Add to the `energies` (garments,) [J], and to their `gradient` (vertices, 3) [N] where it has rows.
-
-    Each of the `vertices` (vertices, 3) [m] has a plane through `points` (vertices, 3) [m] with `normals` (vertices, 3)
-    where it `counts` (vertices,), and a `weight` (vertices,) [J/m^3].
-    """
-    for row in range(len(vertices)):
-        if not counts[row]:
-            continue
-        depth = clearance
-        for axis in range(3):
-            depth -= (vertices[row, axis] - points[row, axis]) * normals[row, axis]
-        if depth > 0.0:
-            energies[garment[row]] += weight[row] * depth**3
-            for axis in range(3 if len(gradient) else 0):
-                gradient[row, axis] -= 3.0 * weight[row] * depth * depth * normals[row, axis]
-
-
-@compiled
-def _add_stiffness(
-    vertices: np.ndarray,
-    points: np.ndarray,
-    normals: np.ndarray,
-    counts: np.ndarray,
-    weight: np.ndarray,
-    clearance: float,
-    slots: np.ndarray,
-    positive: np.ndarray,
-) -> None:
-    """Add to the `positive` blocks (pairs, 3, 3) [N/m] of a stiffness; the rest as in `_add_gradient`."""
-    for row in range(len(vertices)):
-        if not counts[row]:
-            continue
-        depth = clearance
-        for axis in range(3):
-            depth -= (vertices[row, axis] - points[row, axis]) * normals[row, axis]
-        if depth > 0.0:
-            stiffness = 3.0 * weight[row] * (depth + min(depth, _EXACT_DEPTH))
-            for i in range(3):
-                for j in range(3):
-                    positive[slots[row, 0], i, j] += stiffness * normals[row, i] * normals[row, j]
 
 
 @compiled

@@ -1,10 +1,11 @@
-"""Energy terms of the incremental potential: functions of the next positions with gradient and curvature."""
+"""Energy terms of the incremental potential: functions of the next positions with gradient and second derivative."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -12,10 +13,10 @@ from torch import Tensor
 
 from pb4u.collision.jit import as_float64
 from pb4u.physics.contact.contact_set import ContactSet
+from pb4u.physics.terms.element_loops import ElementLoops, Record
 from pb4u.physics.terms.pair_stiffness import PairStiffness
 from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import PackedGarments
 
 Tangent = Callable[[np.ndarray, Stiffness, np.ndarray, np.ndarray], None]
 """A term's part of the quadratic model of a Newton step, which is relinearised where the step leads.
@@ -28,17 +29,22 @@ wrong where the moves lead.
 
 
 class EnergyTerm(ABC):
-    """One term of the potential. Implementations are stateless and follow the dtype and device of `x`.
+    """One term of the potential; implementations are stateless.
+
+    It is written twice: `energies` in torch, for an accelerator, and `loops` over its `records` a step, compiled,
+    for everything on a processor.
 
     Attributes:
         name: by which results and tables refer to it.
+        loops: its compiled loops; None for a term without: torch computes it everywhere.
     """
 
     name: str
+    loops: ClassVar[ElementLoops | None] = None
 
     @abstractmethod
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        """Energies (garments,) [J] at `x`; differentiable by autograd.
+        """Energies (garments,) [J] at `x`, in its dtype and on its device; differentiable by autograd.
 
         Args:
             step: the time step.
@@ -46,18 +52,19 @@ class EnergyTerm(ABC):
             x: (vertices, 3) [m] next positions.
         """
 
-    @abstractmethod
     def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Energies (garments,) [J] and the gradient (vertices, 3) [N] of their sum, by hand, without autograd.
+        """Energies (garments,) [J] and the gradient (vertices, 3) [N] of their sum; not differentiable.
 
         Args:
             step: the time step.
             contacts: contacts of the step.
             x: (vertices, 3) [m] next positions.
         """
+        energies, pulled_back, *_ = torch.func.vjp(lambda at: self.energies(step, contacts, at), x.detach())
+        return energies, pulled_back(torch.ones_like(energies))[0]
 
     def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor | None:
-        """Vertex indices (elements, corners) int64 that the term couples; None where its second derivative is zero.
+        """Vertices (elements, corners) int64 that the term couples; None where its second derivative is zero.
 
         Args:
             step: the time step.
@@ -65,14 +72,36 @@ class EnergyTerm(ABC):
         """
         return None
 
-    def compiled(self, step: TimeStep, contacts: ContactSet) -> EnergyTerm:
-        """This term as the solver evaluates it: compiled for one step, without autograd.
+    def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
+        """What the `loops` read, gathered once a step, as a function of the contacts where the term is evaluated.
 
         Args:
-            step: the time step, its garments in float64 on the CPU.
+            step: the time step, on a processor.
             contacts: contacts at its start.
         """
-        return self
+        raise NotImplementedError(f"the term {self.name} has no compiled loops")
+
+    def tangents(
+        self, step: TimeStep, x: np.ndarray, records: Sequence[Record], pattern: StiffnessPattern
+    ) -> list[Tangent]:
+        """Its parts of the model of a Newton step that can be relinearised.
+
+        Args:
+            step: the time step.
+            x: (vertices, 3) [m] where the Newton step begins.
+            records: what the `loops` read there.
+            pattern: of the stiffness.
+        """
+        return []
+
+    def compiled(self, step: TimeStep, contacts: ContactSet) -> EnergyTerm:
+        """This term for one step on a processor: compiled, in float64, its gradient known to autograd.
+
+        Args:
+            step: the time step.
+            contacts: contacts at its start.
+        """
+        return self if self.loops is None else CompiledTerm(self, self.loops, step, contacts)
 
     def pair_stiffness(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> PairStiffness | None:
         """Positive semi-definite second derivative over pairs of cloth elements that change with `x`; None where zero.
@@ -86,50 +115,76 @@ class EnergyTerm(ABC):
 
 
 class CompiledTerm(EnergyTerm):
-    """A term as the solver evaluates it: compiled for the step that it was made for, in float64, without autograd."""
+    """A term for the one step that it was made for: its loops over its records.
+
+    Args:
+        term: the term.
+        loops: of the term.
+        step: the time step.
+        contacts: contacts at its start.
+    """
+
+    def __init__(self, term: EnergyTerm, loops: ElementLoops, step: TimeStep, contacts: ContactSet) -> None:
+        self.term, self.name, self._loops = term, term.name, loops
+        self._records_at = term.records(step, contacts)
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        return self._evaluated(step, contacts, x, 0)[0]
+        if not x.requires_grad:
+            return self._evaluated(step, contacts, x, 0)[0]
+        energies: Tensor = _KnownGradient.apply(x, self, step, contacts)  # type: ignore[no-untyped-call]
+        return energies
 
     def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
         return self._evaluated(step, contacts, x, len(x))
 
+    def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor | None:
+        return self.term.elements(step, contacts)
+
     def _evaluated(self, step: TimeStep, contacts: ContactSet, x: Tensor, rows: int) -> tuple[Tensor, Tensor]:
-        energies, gradient = np.zeros(step.garments.garment_count), np.zeros((rows, 3))
-        self.add(contacts, as_float64(x), energies, gradient)
-        return torch.from_numpy(energies), torch.from_numpy(gradient)
-
-    @abstractmethod
-    def add(self, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray) -> None:
-        """Add to energies that are 0, and to their gradient.
-
-        Args:
-            contacts: contacts of the step.
-            x: (vertices, 3) [m] next positions.
-            energies: (garments,) [J].
-            gradient: (vertices, 3) [N], dE/dx; without rows where the energies alone are wanted.
-        """
+        energies, gradient, at = np.zeros(step.garments.garment_count), np.zeros((rows, 3)), as_float64(x)
+        for record in self._records_at(contacts):
+            self._loops.add(at, *record, energies, gradient)
+        return torch.from_numpy(energies).to(x.dtype), torch.from_numpy(gradient).to(x.dtype)
 
     def add_stiffness(self, contacts: ContactSet, x: np.ndarray, slots: np.ndarray, stiffness: Stiffness) -> None:
-        """Add the second derivative, or one near it; a term without `elements` has none.
+        """Add the second derivative, or one near it.
 
         Args:
             contacts: contacts of the step.
             x: (vertices, 3) [m] next positions.
-            slots: (elements, corner pairs) int32 where the `corner_pairs` of the `elements` are in the stiffness.
+            slots: (elements, corner pairs) int32 places of its blocks in the stiffness.
             stiffness: added to.
         """
+        for corners, _, numbers in self._records_at(contacts):
+            self._loops.add_stiffness(x, corners, numbers, slots, stiffness.positive, stiffness.compressive)
 
-    def tangents(self, step: TimeStep, contacts: ContactSet, x: np.ndarray, pattern: StiffnessPattern) -> list[Tangent]:
+    def tangents_at(
+        self, step: TimeStep, contacts: ContactSet, x: np.ndarray, pattern: StiffnessPattern
+    ) -> list[Tangent]:
         """Its parts of the model of a Newton step that can be relinearised.
 
         Args:
             step: the time step.
             contacts: contacts of the step.
-            x: (vertices, 3) [m] where the step begins.
+            x: (vertices, 3) [m] where the Newton step begins.
             pattern: of the stiffness.
         """
-        return []
+        return self.term.tangents(step, x, self._records_at(contacts), pattern)
+
+
+class _KnownGradient(torch.autograd.Function):
+    """The energies of a compiled term, whose gradient its loops know."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, term: CompiledTerm, step: TimeStep, contacts: ContactSet) -> Tensor:
+        energies, gradient = term.energies_and_gradient(step, contacts, x)
+        ctx.save_for_backward(gradient, step.garments.vertex_garment)
+        return energies
+
+    @staticmethod
+    def backward(ctx: Any, slopes: Tensor) -> tuple[Tensor, None, None, None]:
+        gradient, garment = ctx.saved_tensors
+        return slopes[garment, None] * gradient, None, None, None
 
 
 @lru_cache
@@ -177,24 +232,3 @@ def columns(x: Tensor, index: Tensor) -> Tensor:
         index: (n,) int64 vertices.
     """
     return x.T.contiguous().gather(1, index.expand(3, -1))
-
-
-def vertex_elements(garments: PackedGarments) -> Tensor:
-    """Indices (vertices, 1) int64 of every vertex as an element of its own, for terms that couple no two vertices.
-
-    Args:
-        garments: the packed garments.
-    """
-    return torch.arange(garments.vertex_count, device=garments.device)[:, None]
-
-
-def sum_by_vertex(values: Tensor, index: Tensor, vertex_count: int) -> Tensor:
-    """Sums (vertices, 3) of `values` over the columns that belong to each vertex, in their unit.
-
-    Args:
-        values: (3, columns) of any unit.
-        index: (columns,) int64 vertex of each.
-        vertex_count: number of vertices.
-    """
-    total = values.new_zeros((3, vertex_count))
-    return total.scatter_add(1, index.expand(3, -1), values).T.contiguous()

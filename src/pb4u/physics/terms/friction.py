@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.collision.jit import as_float64, compiled
+from pb4u.collision.jit import as_float64, compiled, compiled_into_callers
 from pb4u.physics.contact.contact_set import ContactSet
 from pb4u.physics.terms.collision import REFERENCE_AREA, Collision
-from pb4u.physics.terms.energy_term import (
-    CompiledTerm,
-    EnergyTerm,
-    Tangent,
-    constant,
-    dot,
-    sum_by_garment,
-    vertex_elements,
-)
-from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
+from pb4u.physics.terms.element_loops import GRADIENT, SECOND, VALUE, Record, each_vertex, element_loops, vertex_record
+from pb4u.physics.terms.energy_term import EnergyTerm, Tangent, constant, dot, sum_by_garment
+from pb4u.physics.terms.stiffness_matrix import StiffnessPattern
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.scene import STANDARD_GRAVITY, UP
 
@@ -31,54 +25,112 @@ SOFTENING = 0.8
 """Share of the softening along the slip that the curvature has: with all of it, steps overshoot where slipping ends."""
 
 
+_WEIGHTS = (1.0 + SLIDING_DOWN, SLIDING_DOWN, 1.0 + SLIDING_DOWN)
+"""Weights of the squared slip along each axis: |s|^2 c^2 = s . W s."""
+
+
+@compiled_into_callers
+def _slip_at(x: np.ndarray, numbers: np.ndarray, row: int) -> tuple[float, float, float, float]:
+    """Slip [m] of a vertex along each axis, and its smoothed length [m]."""
+    rest, n0, n1, n2 = numbers[row, 1], numbers[row, 5], numbers[row, 6], numbers[row, 7]
+    s0, s1, s2 = x[row, 0] - numbers[row, 2], x[row, 1] - numbers[row, 3], x[row, 2] - numbers[row, 4]
+    height = s0 * n0 + s1 * n1 + s2 * n2
+    s0, s1, s2 = s0 - height * n0, s1 - height * n1, s2 - height * n2
+    return s0, s1, s2, np.sqrt(_WEIGHTS[0] * s0 * s0 + _WEIGHTS[1] * s1 * s1 + _WEIGHTS[2] * s2 * s2 + rest * rest)
+
+
+def _vertex(
+    x: np.ndarray,
+    corners: np.ndarray,
+    numbers: np.ndarray,
+    vertex: int,
+    wanted: int,
+    forces: np.ndarray,
+    blocks: np.ndarray,
+    factors: np.ndarray,
+) -> float:
+    """One vertex; its numbers are the friction limit [N] (0 without touch), smoothing [m], anchor [m], normal.
+
+    The second derivative is T W T - softening a a^T, a little stiffer than exact along the slip; T = 1 - n n^T, W the
+    diagonal of the weights, a the pull T W s over the length of s. Positive, because the smoothed norm is convex.
+    """
+    limit = numbers[vertex, 0]
+    if not limit > 0.0:
+        for i in range(3 if wanted != VALUE else 0):
+            forces[0, i] = 0.0
+            for j in range(3 if wanted == SECOND else 0):
+                blocks[0, i, j] = 0.0
+        return 0.0
+    s0, s1, s2, magnitude = _slip_at(x, numbers, vertex)
+    energy = limit * (magnitude - numbers[vertex, 1])
+    if wanted == VALUE:
+        return energy
+    along = (_WEIGHTS[0] * s0 / magnitude, _WEIGHTS[1] * s1 / magnitude, _WEIGHTS[2] * s2 / magnitude)
+    inward, both = 0.0, 0.0
+    for axis in range(3):
+        normal = numbers[vertex, 5 + axis]
+        inward += along[axis] * normal
+        both += _WEIGHTS[axis] * normal * normal
+    for axis in range(3):
+        forces[0, axis] = limit * (along[axis] - inward * numbers[vertex, 5 + axis])
+    if wanted == GRADIENT:
+        return energy
+    for i in range(3):
+        for j in range(3):
+            across = (both - _WEIGHTS[i] - _WEIGHTS[j]) * numbers[vertex, 5 + i] * numbers[vertex, 5 + j]
+            if i == j:
+                across += _WEIGHTS[i]
+            softened = SOFTENING * forces[0, i] * forces[0, j] / (limit * limit)
+            blocks[0, i, j] = (across - softened) * limit / magnitude
+    return energy
+
+
 @dataclass(frozen=True)
 class Friction(EnergyTerm):
-    """Sum over touching vertices of mu m g c |s| [J], smoothed to mu m g (sqrt(c^2 |s|^2 + e^2) - e).
+    """Sum over touching vertices of mu m g c |s| [J], smoothed to mu m g (sqrt(c^2 |s|^2 + e^2) - e) [J].
 
-    s is the slip [m]: the vertex's displacement over the step less that of the body under it, without its part along
-    the body's normal. c^2 = 1 - cos^2(s, up) + 1e-4 makes slipping sideways cost and sliding down nearly free.
-    e = `smoothing` dt [m]. A vertex touches when its true distance to the body (or to the ground) at the step's start
-    is below `radius`; so the set is known before the step and the energy is convex. Source: HOOD (Grigorev et al.
-    2023); its released form is in `measures/released_energies.py`.
+    mu is the vertex's coefficient of friction, s the slip [m]: its displacement over the step less that of the body
+    under it, without its part along the body's normal. c^2 = 1 - cos^2(s, up) + 1e-4 makes slipping sideways cost and
+    sliding down nearly free. e = `smoothing` dt [m]. A vertex touches when its true distance to the body (or to the
+    ground) at the step's start is below `radius`; so the set is known before the step and the energy is convex. Source:
+    HOOD (Grigorev et al. 2023); its released form is in `measures/released_energies.py`.
 
     Args:
-        coefficient: mu.
         radius: distance below which a vertex touches [m].
         smoothing: slip speed below which the vertex sticks [m/s].
         load: None for m g as the normal force. Given the collision term, the force with which the body pressed the
             vertex at the step's start, where that is more: shoulders then hold the weight of a dress.
     """
 
-    coefficient: float = 0.5
     radius: float = 3e-3
     smoothing: float = 1e-3
     load: Collision | None = None
     name = "friction"
+    loops = element_loops(_vertex, 1)
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         limit, anchor, normal = self._sliding(step, contacts)
-        magnitude = self._magnitude(step, slip_across(x, anchor, normal))
-        return self._sum(step, limit, magnitude)
-
-    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        limit, anchor, normal = self._sliding(step, contacts)
-        slip = slip_across(x, anchor, normal)
-        magnitude = self._magnitude(step, slip)
-        pull = slip * _directional(x) * (limit / magnitude)[:, None]
-        return self._sum(step, limit, magnitude), pull - dot(pull, normal)[:, None] * normal
+        slip, rest = slip_across(x, anchor, normal), self.smoothing * step.dt
+        magnitude = (dot(slip * slip, _directional(slip)) + rest**2).sqrt()
+        return sum_by_garment(limit * (magnitude - rest), step.garments.vertex_garment, step.garments.garment_count)
 
     def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
-        return vertex_elements(step.garments)
+        return each_vertex(step.garments)
 
-    def compiled(self, step: TimeStep, contacts: ContactSet) -> EnergyTerm:
-        return CompiledFriction(self, step, contacts)
+    def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
+        limit, anchor, normal = map(as_float64, self._sliding(step, contacts))
+        records = (vertex_record(step.garments, limit, self.smoothing * step.dt, anchor, normal),)
+        return lambda _: records
 
-    def _magnitude(self, step: TimeStep, slip: Tensor) -> Tensor:
-        return (dot(slip * slip, _directional(slip)) + (self.smoothing * step.dt) ** 2).sqrt()
-
-    def _sum(self, step: TimeStep, limit: Tensor, magnitude: Tensor) -> Tensor:
-        energy = limit * (magnitude - self.smoothing * step.dt)
-        return sum_by_garment(energy, step.garments.vertex_garment, step.garments.garment_count)
+    def tangents(
+        self, step: TimeStep, x: np.ndarray, records: Sequence[Record], pattern: StiffnessPattern
+    ) -> list[Tangent]:
+        (record,) = records
+        sliding = record.numbers * np.where(pattern.free, 1.0, 0.0)[:, None]
+        slots, lengths = pattern.slots[self.name][:, 0], np.zeros(len(x))
+        return [
+            lambda moves, stiffness, *forces: _follow(x, moves, sliding, slots, lengths, stiffness.positive, *forces)
+        ]
 
     def _sliding(self, step: TimeStep, contacts: ContactSet) -> tuple[Tensor, Tensor, Tensor]:
         """Friction limit mu m g (vertices,) [N], 0 where nothing touches; anchor and normal (vertices, 3)."""
@@ -103,48 +155,11 @@ class Friction(EnergyTerm):
             depth = (self.load.clearance - distance).clamp(0.0, 2.0 * self.load.clearance)
             pressed = 3.0 * self.load.weight / REFERENCE_AREA * step.garments.vertex_areas * depth**2
             force = torch.maximum(force, pressed)
-        return torch.where(touching, self.coefficient * force, 0.0), anchor, normal
-
-
-class CompiledFriction(CompiledTerm, Friction):
-    """`Friction` compiled for one step, with its second derivative, a little stiffer than exact along the slip.
-
-    Positive, because the smoothed norm is convex.
-
-    Args:
-        term: what it stands for.
-        step: the time step.
-        contacts: contacts at its start.
-    """
-
-    def __init__(self, term: Friction, step: TimeStep, contacts: ContactSet) -> None:
-        super().__init__(term.coefficient, term.radius, term.smoothing, term.load)
-        limit, anchor, normal = self._sliding(step, contacts)
-        self._law = (
-            as_float64(limit),
-            as_float64(anchor),
-            as_float64(normal),
-            as_float64(_directional(limit)),
-            self.smoothing * step.dt,
-        )
-        self._garment = step.garments.vertex_garment.numpy()
-
-    def add(self, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray) -> None:
-        _add_gradient(x, *self._law, self._garment, energies, gradient)
-
-    def add_stiffness(self, contacts: ContactSet, x: np.ndarray, slots: np.ndarray, stiffness: Stiffness) -> None:
-        _add_stiffness(x, *self._law, SOFTENING, slots, stiffness.positive)
-
-    def tangents(self, step: TimeStep, contacts: ContactSet, x: np.ndarray, pattern: StiffnessPattern) -> list[Tangent]:
-        limit, anchor, normal, weights, rest = self._law
-        slots, lengths = pattern.slots[self.name][:, 0], np.zeros(len(x))
-        law = limit * pattern.free, anchor, normal, weights, rest, SOFTENING, slots, lengths
-        return [lambda moves, stiffness, *forces: _follow(x, moves, *law, stiffness.positive, *forces)]
+        return torch.where(touching, step.garments.friction * force, 0.0), anchor, normal
 
 
 def _directional(x: Tensor) -> Tensor:
-    """(3,) weights of the squared slip along each axis: |s|^2 c^2 = s . W s."""
-    return constant((1.0 + SLIDING_DOWN, SLIDING_DOWN, 1.0 + SLIDING_DOWN), x.dtype, x.device)
+    return constant(_WEIGHTS, x.dtype, x.device)
 
 
 def slip_across(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
@@ -160,96 +175,10 @@ def slip_across(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
 
 
 @compiled
-def _slip_at(
-    vertices: np.ndarray, anchor: np.ndarray, normal: np.ndarray, weights: np.ndarray, rest: float, row: int
-) -> tuple[float, float, float, float]:
-    """Slip [m] of a vertex along each axis, and its smoothed length [m]."""
-    s0, s1, s2 = vertices[row, 0] - anchor[row, 0], vertices[row, 1] - anchor[row, 1], vertices[row, 2] - anchor[row, 2]
-    n0, n1, n2 = normal[row, 0], normal[row, 1], normal[row, 2]
-    height = s0 * n0 + s1 * n1 + s2 * n2
-    s0, s1, s2 = s0 - height * n0, s1 - height * n1, s2 - height * n2
-    return s0, s1, s2, np.sqrt(weights[0] * s0 * s0 + weights[1] * s1 * s1 + weights[2] * s2 * s2 + rest * rest)
-
-
-@compiled
-def _add_gradient(
-    vertices: np.ndarray,
-    limit: np.ndarray,
-    anchor: np.ndarray,
-    normal: np.ndarray,
-    weights: np.ndarray,
-    rest: float,
-    garment: np.ndarray,
-    energies: np.ndarray,
-    gradient: np.ndarray,
-) -> None:
-    """Add to the `energies` (garments,) [J], and to their `gradient` (vertices, 3) [N] where it has rows.
-
-    Each of the `vertices` (vertices, 3) [m] has a `limit` (vertices,) [N], an `anchor` (vertices, 3) [m] and a `normal`
-    (vertices, 3); the `weights` (3,) are those of `_directional`, `rest` [m] smooths.
-    """
-    for row in range(len(vertices)):
-        if not limit[row] > 0.0:
-            continue
-        s0, s1, s2, magnitude = _slip_at(vertices, anchor, normal, weights, rest, row)
-        energies[garment[row]] += limit[row] * (magnitude - rest)
-        if not len(gradient):
-            continue
-        pull = limit[row] / magnitude
-        p0, p1, p2 = pull * weights[0] * s0, pull * weights[1] * s1, pull * weights[2] * s2
-        inward = p0 * normal[row, 0] + p1 * normal[row, 1] + p2 * normal[row, 2]
-        gradient[row, 0] += p0 - inward * normal[row, 0]
-        gradient[row, 1] += p1 - inward * normal[row, 1]
-        gradient[row, 2] += p2 - inward * normal[row, 2]
-
-
-@compiled
-def _add_stiffness(
-    vertices: np.ndarray,
-    limit: np.ndarray,
-    anchor: np.ndarray,
-    normal: np.ndarray,
-    weights: np.ndarray,
-    rest: float,
-    softening: float,
-    slots: np.ndarray,
-    positive: np.ndarray,
-) -> None:
-    """Add to the `positive` blocks (pairs, 3, 3) [N/m] of a stiffness; the rest as in `_add_gradient`.
-
-    T W T - softening a a^T with T = 1 - n n^T, W the diagonal of `weights` and a the pull T W s over the length of s.
-    """
-    along = np.empty(3)
-    for row in range(len(vertices)):
-        if not limit[row] > 0.0:
-            continue
-        s0, s1, s2, magnitude = _slip_at(vertices, anchor, normal, weights, rest, row)
-        along[0], along[1], along[2] = weights[0] * s0, weights[1] * s1, weights[2] * s2
-        inward, both = 0.0, 0.0
-        for axis in range(3):
-            inward += along[axis] * normal[row, axis]
-            both += weights[axis] * normal[row, axis] * normal[row, axis]
-        for axis in range(3):
-            along[axis] = (along[axis] - inward * normal[row, axis]) / magnitude
-        for i in range(3):
-            for j in range(3):
-                across = (both - weights[i] - weights[j]) * normal[row, i] * normal[row, j]
-                stiff = across - softening * along[i] * along[j]
-                if i == j:
-                    stiff += weights[i]
-                positive[slots[row, 0], i, j] += stiff * limit[row] / magnitude
-
-
-@compiled
 def _follow(
     vertices: np.ndarray,
     moves: np.ndarray,
-    limit: np.ndarray,
-    anchor: np.ndarray,
-    normal: np.ndarray,
-    weights: np.ndarray,
-    rest: float,
-    softening: float,
+    numbers: np.ndarray,
     slots: np.ndarray,
     lengths: np.ndarray,
     positive: np.ndarray,
@@ -259,15 +188,16 @@ def _follow(
     """Lay the tangents of all vertices where `moves` lead, as in `Tangent.follow`.
 
     The force is taken to be T W s times the limit over a smoothed length (vertices,) [m] of the slip, 0 where it is the
-    tangent of `_add_stiffness` yet: that length is changed to the one where the moves lead. The rest as there.
+    tangent of `_vertex` yet: that length is changed to the one where the moves lead. The rest as there.
     """
+    limit, normal, weights = numbers[:, 0], numbers[:, 5:], _WEIGHTS
     pull, there = np.empty(3), np.empty(3)
     reached = vertices + moves
     for row in range(len(moves)):
         if not limit[row] > 0.0:
             continue
-        s0, s1, s2, here = _slip_at(vertices, anchor, normal, weights, rest, row)
-        t0, t1, t2, length = _slip_at(reached, anchor, normal, weights, rest, row)
+        s0, s1, s2, here = _slip_at(vertices, numbers, row)
+        t0, t1, t2, length = _slip_at(reached, numbers, row)
         pull[0], pull[1], pull[2] = weights[0] * s0, weights[1] * s1, weights[2] * s2
         there[0], there[1], there[2] = weights[0] * t0, weights[1] * t1, weights[2] * t2
         inward, outward, both, along = 0.0, 0.0, 0.0, 0.0
@@ -281,7 +211,7 @@ def _follow(
             along += pull[axis] * moves[row, axis]
         first, soft = lengths[row] == 0.0, 0.0
         if first:
-            lengths[row], soft = here, softening * limit[row] / here**3
+            lengths[row], soft = here, SOFTENING * limit[row] / here**3
         change = limit[row] / length - limit[row] / lengths[row]
         lengths[row] = length
         for i in range(3):

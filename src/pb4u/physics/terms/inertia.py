@@ -2,14 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 from torch import Tensor
 
-from pb4u.collision.jit import compiled
+from pb4u.collision.jit import as_float64
 from pb4u.physics.contact.contact_set import ContactSet
-from pb4u.physics.terms.energy_term import CompiledTerm, EnergyTerm, dot, sum_by_garment, vertex_elements
-from pb4u.physics.terms.stiffness_matrix import Stiffness
+from pb4u.physics.terms.element_loops import GRADIENT, SECOND, Record, each_vertex, element_loops, vertex_record
+from pb4u.physics.terms.energy_term import EnergyTerm, dot, sum_by_garment
 from pb4u.physics.time_step import TimeStep
+
+
+def _vertex(
+    x: np.ndarray,
+    corners: np.ndarray,
+    numbers: np.ndarray,
+    vertex: int,
+    wanted: int,
+    forces: np.ndarray,
+    blocks: np.ndarray,
+    factors: np.ndarray,
+) -> float:
+    """One vertex; its numbers are mass over squared time step [N/m], and where it would keep its velocity [m]."""
+    stiffness, squared = numbers[vertex, 0], 0.0
+    for axis in range(3):
+        change = x[vertex, axis] - numbers[vertex, 1 + axis]
+        squared += change * change
+        if wanted == GRADIENT:
+            forces[0, axis] = stiffness * change
+        if wanted == SECOND:
+            blocks[0, axis, axis] = stiffness
+    return 0.5 * stiffness * squared
 
 
 class Inertia(EnergyTerm):
@@ -20,69 +44,18 @@ class Inertia(EnergyTerm):
     """
 
     name = "inertia"
+    loops = element_loops(_vertex, 1)
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        return self._energies(step, self._change(step, x))
-
-    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        change = self._change(step, x)
-        return self._energies(step, change), (step.garments.vertex_masses / step.dt**2)[:, None] * change
-
-    def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
-        return vertex_elements(step.garments)
-
-    def compiled(self, step: TimeStep, contacts: ContactSet) -> EnergyTerm:
-        return CompiledInertia(step)
-
-    def _change(self, step: TimeStep, x: Tensor) -> Tensor:
-        return (x - step.state.positions) - step.dt * step.state.velocities
-
-    def _energies(self, step: TimeStep, change: Tensor) -> Tensor:
         garments = step.garments
+        change = (x - step.state.positions) - step.dt * step.state.velocities
         energy = garments.vertex_masses * dot(change, change) / (2.0 * step.dt**2)
         return sum_by_garment(energy, garments.vertex_garment, garments.garment_count)
 
+    def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
+        return each_vertex(step.garments)
 
-class CompiledInertia(CompiledTerm, Inertia):
-    """`Inertia` compiled for one step.
-
-    Args:
-        step: the time step.
-    """
-
-    def __init__(self, step: TimeStep) -> None:
-        garments = step.garments
-        self._kept = (step.state.positions + step.dt * step.state.velocities).numpy()
-        self._stiffness = (garments.vertex_masses / step.dt**2).numpy()
-        self._garment = garments.vertex_garment.numpy()
-
-    def add(self, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray) -> None:
-        _add_gradient(x, self._kept, self._stiffness, self._garment, energies, gradient)
-
-    def add_stiffness(self, contacts: ContactSet, x: np.ndarray, slots: np.ndarray, stiffness: Stiffness) -> None:
-        for axis in range(3):
-            stiffness.positive[slots[:, 0], axis, axis] += self._stiffness
-
-
-@compiled
-def _add_gradient(
-    vertices: np.ndarray,
-    kept: np.ndarray,
-    stiffness: np.ndarray,
-    garment: np.ndarray,
-    energies: np.ndarray,
-    gradient: np.ndarray,
-) -> None:
-    """Add to the `energies` (garments,) [J] and to their `gradient` (vertices, 3) [N] where it has rows.
-
-    `vertices` (vertices, 3) [m] are `kept` (vertices, 3) [m] where they keep their velocity; `stiffness` (vertices,) is
-    mass over squared time step [N/m].
-    """
-    for row in range(len(vertices)):
-        squared = 0.0
-        for axis in range(3):
-            change = vertices[row, axis] - kept[row, axis]
-            if len(gradient):
-                gradient[row, axis] += stiffness[row] * change
-            squared += change * change
-        energies[garment[row]] += 0.5 * stiffness[row] * squared
+    def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
+        kept = as_float64(step.state.positions) + step.dt * as_float64(step.state.velocities)
+        records = (vertex_record(step.garments, as_float64(step.garments.vertex_masses) / step.dt**2, kept),)
+        return lambda _: records
