@@ -23,6 +23,9 @@ import numpy as np
 from safetensors.numpy import load_file
 
 SCENES = (("tshirt", "walk"), ("dress", "jump"), ("tshirt", "dance"))
+CONTACT_SCENES = (("longsleeve", "arms"), ("dress", "dance"))
+"""Scenes in which cloth meets cloth: sleeves at a raised arm, and a swinging hem."""
+CONTACT_MODELS = {"quick-contact": "--model quick-solver", "default-contact": ""}
 MODELS = {
     "solver": "--model solver --self-contact off",
     "network": "--model pb4u-small --refine 0 --contact off --self-contact off",
@@ -44,7 +47,8 @@ TIMES = ("second", "hours", "ms", "latency", "time", "version", "memory", "devic
 
 def record(folder: Path, triangles: int, frames: int, steps: int) -> None:
     """Run everything that is not in `folder` yet, and write the digests."""
-    results = record_scenes(folder, f"--triangles {triangles} --frames {frames}")
+    size = f"--triangles {triangles} --frames {frames}"
+    results = record_scenes(folder, size) | record_scenes(folder, size, CONTACT_SCENES, CONTACT_MODELS)
     for name, flags in TRAININGS.items():
         run = folder / f"train_{name}"
         _once(run / "final.safetensors", f"train {flags} --steps {steps} --out {run}")
