@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TypeVar
 
-from pb4u.errors import refuse_unknown
 from pb4u.network.acceleration_model import NetworkConfiguration
 from pb4u.network.graph.features import ADVANCE, DESCENT, FeatureLayout, MaterialRange
 from pb4u.network.graph.pins import PinsAtTarget, PinsAtTargetInEdges
@@ -13,6 +12,7 @@ from pb4u.network.graph.world_edges import NearestFaceRule, WorldEdgeRule
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.network.propagation import PAPER_PROPAGATION, RELEASED_PROPAGATION
 from pb4u.network.propagation_control import ConstantDistance, FixedSteps, TruncatedDistance
+from pb4u.network.registry import CONFIGURATIONS, NETWORKS
 from pb4u.network.update_scaling import MeanScaling, NoScaling, PerVertexScaling
 from pb4u.paper.baselines.contourcraft import ContourCraftConfiguration
 from pb4u.paper.baselines.directed_self_contact import DirectedSelfEdges
@@ -182,17 +182,5 @@ PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
 }
 """Every network that can be trained by name, and what it is."""
 
-NETWORKS: dict[str, NetworkConfiguration] = {name: configuration for name, (configuration, _) in PRESETS.items()}
-
-
-def network_preset(name: str) -> NetworkConfiguration:
-    """Network configuration called `name`.
-
-    Args:
-        name: key of `NETWORKS`.
-
-    Raises:
-        InputError: there is none; the names are listed.
-    """
-    refuse_unknown("network preset", [name], NETWORKS)
-    return NETWORKS[name]
+NETWORKS.update({name: configuration for name, (configuration, _) in PRESETS.items()})
+CONFIGURATIONS.update({type(each).__name__: type(each) for each, _ in PRESETS.values()})
