@@ -86,11 +86,7 @@ def pushed_out(positions: Tensor, body: ColliderPose, factor: float) -> Tensor:
     return positions - factor * (height - CLEARANCE).clamp_max(0.0) * normal
 
 
-FIRST_FRAMES.update(
-    {
-        "release": StandingStart(),
-        "hood": StandingStart(push=1.0),
-        "mgn": MovingStart(),
-        "contourcraft": SkinnedStart(),
-    }
-)
+FIRST_FRAMES["release"] = StandingStart()
+FIRST_FRAMES["hood"] = StandingStart(push=1.0)
+FIRST_FRAMES["mgn"] = MovingStart()
+FIRST_FRAMES["contourcraft"] = SkinnedStart()

@@ -117,7 +117,7 @@ class RecordingAsItIs(MotionAsRecorded):
         return PoseSequence(world_rotations(local, body.skeleton.parents), translations + root, FPS)
 
 
-AS_RECORDED.update({".pkl": RecordingAsItIs, ".npz": RecordingAsItIs})
+AS_RECORDED.update(dict.fromkeys((".pkl", ".npz"), RecordingAsItIs))
 
 
 def read_smpl_sequence(path: Path, crop: tuple[int, int] | None = None) -> SmplSequence:

@@ -112,11 +112,7 @@ def read_released(path: Path | str, method: str | None = None, licence: str | No
     )
 
 
-def _read_checkpoint(path: str) -> Checkpoint:
-    return read_released(path).checkpoint()
-
-
-READERS.update({".pth": _read_checkpoint, ".pt": _read_checkpoint})
+READERS.update(dict.fromkeys((".pth", ".pt"), lambda path: read_released(path).checkpoint()))
 
 
 def _method(file: ReleasedFile, name: str | None) -> ReleasedMethod:

@@ -63,7 +63,7 @@ class ControlSimulator(StepwiseSimulator):
         )
 
 
-CONTROLS.update({GRADIENT_DESCENT: ControlSimulator, WARM_START: ControlSimulator})
+CONTROLS.update(dict.fromkeys((GRADIENT_DESCENT, WARM_START), ControlSimulator))
 
 
 class GradientPass:

@@ -6,13 +6,6 @@ from dataclasses import replace
 
 from pb4u.network.registry import NETWORKS
 from pb4u.paper import network_presets
-from pb4u.paper.network_presets import (
-    pb4u_paper,
-    pb4u_small,
-    pb4u_small_carried,
-    pb4u_small_conjugate,
-    pb4u_small_two_passes,
-)
 from pb4u.simulation.models import TRAINABLE
 from pb4u.training.configuration import (
     TRAININGS,
@@ -23,7 +16,9 @@ from pb4u.training.configuration import (
 )
 from pb4u.training.curriculum import Curriculum
 
-paper = TrainingConfiguration(network=pb4u_paper, data=DataSelection(triangles=(11000,)), checkpoint_every=2000)
+paper = TrainingConfiguration(
+    network=network_presets.pb4u_paper, data=DataSelection(triangles=(11000,)), checkpoint_every=2000
+)
 """The paper's own protocol: one low level, windows of up to 5 steps, 450,000 optimiser steps."""
 
 literal = TrainingConfiguration(
@@ -40,7 +35,7 @@ literal = TrainingConfiguration(
 literal_small = replace(literal, network=network_presets.literal_small)
 
 small = TrainingConfiguration(
-    network=pb4u_small_two_passes,
+    network=network_presets.pb4u_small_two_passes,
     data=DataSelection(triangles=(1300, 2500), shapes=4, clip_frames=200),
     curriculum=Curriculum(
         # What cloth drifts into over a clip is only seen in long windows.
@@ -63,7 +58,7 @@ small = TrainingConfiguration(
 
 wide = replace(
     small,
-    network=pb4u_small_conjugate,
+    network=network_presets.pb4u_small_conjugate,
     data=DataSelection(
         garments=("tshirt", "tanktop", "longsleeve", "dress", "fitted_dress", "cardigan", "trousers", "skirt", "cape"),
         triangles=(1100, 2400, 4800),
@@ -105,7 +100,7 @@ wide = replace(
 
 comparison = replace(
     small,
-    network=pb4u_small_carried,
+    network=network_presets.pb4u_small_carried,
     data=DataSelection(garments=("tshirt", "dress"), triangles=(700, 1200), shapes=2, clips=96),
     curriculum=Curriculum(
         window_steps=((0.0, 1), (0.03, 2), (0.06, 3), (0.1, 5), (0.4, 10), (0.7, 20)),
@@ -123,7 +118,7 @@ comparison = replace(
 
 smoke = replace(
     small,
-    network=replace(pb4u_small, width=16, blocks=1),
+    network=replace(network_presets.pb4u_small, width=16, blocks=1),
     data=DataSelection(
         garments=("tshirt",),
         triangles=(400,),
@@ -144,17 +139,13 @@ smoke = replace(
 )
 """Seconds: a test that a training runs at all."""
 
-TRAININGS.update(
-    {
-        "paper": TrainingPreset(paper, 450_000),
-        "literal": TrainingPreset(literal, 450_000),
-        "literal_small": TrainingPreset(literal_small, 450_000),
-        "small": TrainingPreset(small, 60_000),
-        "wide": TrainingPreset(wide, 30_000),
-        "comparison": TrainingPreset(comparison, 8_000),
-        "smoke": TrainingPreset(smoke, 40),
-    }
-)
+TRAININGS["paper"] = TrainingPreset(paper, 450_000)
+TRAININGS["literal"] = TrainingPreset(literal, 450_000)
+TRAININGS["literal_small"] = TrainingPreset(literal_small, 450_000)
+TRAININGS["small"] = TrainingPreset(small, 60_000)
+TRAININGS["wide"] = TrainingPreset(wide, 30_000)
+TRAININGS["comparison"] = TrainingPreset(comparison, 8_000)
+TRAININGS["smoke"] = TrainingPreset(smoke, 40)
 
 
 def _advice(name: str) -> str:
