@@ -30,7 +30,7 @@ from torch.utils.flop_counter import flop_registry
 
 from pb4u.collision.rooms import Rooms
 from pb4u.network.acceleration_model import AccelerationModel
-from pb4u.paper.network_presets import NETWORKS
+from pb4u.network.registry import NETWORKS
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
 from pb4u.simulation.checkpoint import built_in_models, from_pretrained

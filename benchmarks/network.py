@@ -30,7 +30,7 @@ from tests.network_scenes import DT, Moment, moment, sheet, sheet_of
 from tests.readable_network import readable_accelerations
 
 from pb4u.network.acceleration_model import AccelerationModel, PreparedGarments
-from pb4u.paper.network_presets import network_preset
+from pb4u.network.registry import NETWORKS
 from pb4u.scene.colliders import ColliderFrame, pack_colliders
 
 Shapes = Counter[tuple[int, int, int]]
@@ -99,7 +99,7 @@ def replay(shapes: Shapes, precision: torch.dtype) -> Callable[[], None]:
 
 def measure(network: str, precision: str, repeats: int, at: Moment, clock: Callable[[], float]) -> dict[str, Any]:
     torch.manual_seed(0)
-    exact = AccelerationModel(network_preset(network).network()).eval()
+    exact = AccelerationModel(NETWORKS.named(network).network()).eval()
     dtype = getattr(torch, precision)
     model = exact.for_inference(dtype)
     prepared: PreparedGarments = model.prepare(at.garments)

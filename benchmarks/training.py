@@ -22,9 +22,8 @@ from pb4u.collision.nearest_surface import PosedSurface
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.network.graph import world_edges
 from pb4u.network.graph.builder import GraphBuilder
-from pb4u.paper.training_presets import training_preset
 from pb4u.training.budget import Budget
-from pb4u.training.configuration import with_settings
+from pb4u.training.configuration import TRAININGS, with_settings
 from pb4u.training.distribution import workers
 from pb4u.training.journal import Reporter
 from pb4u.training.learner import MovingAverage
@@ -87,7 +86,8 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     configuration = with_settings(
-        training_preset(given.preset), ["curriculum.window_steps=((0.0,5),)", "statistics_windows=5", *given.set]
+        TRAININGS.named(given.preset).configuration,
+        ["curriculum.window_steps=((0.0,5),)", "statistics_windows=5", *given.set],
     )
     with workers(given.device) as mine:
         budget = Budget(minutes=1e6)

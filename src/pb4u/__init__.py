@@ -14,6 +14,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from pb4u.registry import PROVIDERS
+
 __version__ = "0.1.0"
 
 _HOMES = {
@@ -60,6 +62,20 @@ _HOMES = {
 }
 
 __all__ = list(_HOMES)
+
+PROVIDERS |= {
+    "network configuration": ("pb4u.paper.network_presets",),
+    "network preset": ("pb4u.paper.network_presets",),
+    "training preset": ("pb4u.paper.training_presets",),
+    "trainable network": ("pb4u.paper.training_presets",),
+    "control": ("pb4u.paper.controls",),
+    "first frame": ("pb4u.compat.first_frames",),
+    "kind of weights": ("pb4u.compat.released_weights",),
+    "dictionary of garments": ("pb4u.compat.garment_dictionary",),
+    "recording as recorded": ("pb4u.compat.recording_as_released",),
+    "format": ("pb4u.compat",),
+}
+"""Who registers what; here, above all layers, so that none below names research."""
 
 if TYPE_CHECKING:
     from pb4u.body.animated_body import AnimatedBody as AnimatedBody

@@ -155,7 +155,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") ->
     alias = _ALIASES.get(name.lower())
     near = [alias] if alias in names else get_close_matches(name.lower(), names, n=3, cutoff=0.6)
     rest = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    hint = f"there are {', '.join(names[:_LISTED])}{rest}."
+    hint = f"there are {', '.join(names[:_LISTED]) or 'none'}{rest}."
     if near:
         hint = f"did you mean {' or '.join(near)}?" + (f" T{hint[1:]}" if len(names) <= _FEW else "")
     return InputError(f"{f'{where} has' if where else 'There is'} no {kind} {name!r}; {hint}")

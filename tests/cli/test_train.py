@@ -14,7 +14,7 @@ import torch
 from tests.training.ball_data import TINY, ball_data
 
 from pb4u.network.acceleration_model import AccelerationModel
-from pb4u.paper.network_presets import PRESETS
+from pb4u.network.registry import NETWORKS
 from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
 from pb4u.training.configuration import training_to_json, with_settings
 from pb4u.training.packed_data import load_training_data, save_training_data
@@ -119,7 +119,7 @@ def test_the_licence_is_of_the_weights_begun_with_unless_own_data_are_learnt(
 def test_weights_go_on_under_another_law_of_k_and_scaling(pb4u: Call, pack: Path, tmp_path: Path) -> None:
     start, run = tmp_path / "start.safetensors", tmp_path / "run"
     configuration, wanted = (
-        replace(PRESETS[name][0], width=4) for name in ("literal_small", "literal_small_without_both")
+        replace(NETWORKS[name], width=4) for name in ("literal_small", "literal_small_without_both")
     )
     record = TrainingRecord(1.0 / 30.0, (0.045, 0.045), (5, 5))
     save_checkpoint(start, AccelerationModel(configuration.network()), configuration, record)

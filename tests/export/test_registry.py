@@ -16,7 +16,7 @@ from tests.export.readers import pc2_frames
 
 from pb4u.errors import InputError, InputWarning, MissingExtraError
 from pb4u.export.finite_frames import hold_finite
-from pb4u.export.registry import FORMATS, WRITERS, check_target, export, written_files
+from pb4u.export.registry import WRITERS, check_target, export, written_files
 from pb4u.export.still_renderer import render
 from pb4u.export.view import View
 from pb4u.scene.trajectory import Trajectory
@@ -55,7 +55,7 @@ def test_a_format_is_known_without_importing_its_writer_and_names_functions_that
         check=True,
     ).stdout
     assert all(suffix in told for suffix in WRITERS)
-    for form in FORMATS:
+    for form in WRITERS.values():
         assert all(callable(resolve_name(name)) for name in (form.writer, form.check, form.files) if name)
 
 

@@ -23,8 +23,9 @@ from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.network.propagation import RELEASED_PROPAGATION
 from pb4u.network.propagation_control import ConstantDistance
+from pb4u.network.registry import NETWORKS
 from pb4u.network.update_scaling import PerVertexScaling
-from pb4u.paper.network_presets import NETWORKS, pb4u_paper
+from pb4u.paper.network_presets import pb4u_paper
 from pb4u.scene.packed import pack
 
 TINY = Pb4uConfiguration(width=16, blocks=3)

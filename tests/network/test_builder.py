@@ -23,7 +23,7 @@ from pb4u.network.graph.features import (
 from pb4u.network.graph.garment_graph import garment_graph
 from pb4u.network.graph.graph import NodeType
 from pb4u.network.graph.world_edges import WorldEdgeRule
-from pb4u.paper.network_presets import NETWORKS
+from pb4u.network.registry import NETWORKS
 from pb4u.scene.packed import pack
 
 

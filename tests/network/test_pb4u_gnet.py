@@ -14,7 +14,7 @@ from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.network.graph.world_edges import WorldEdgeRule
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.network.propagation import PAPER_PROPAGATION, RELEASED_PROPAGATION, PropagationForm
-from pb4u.paper.network_presets import NETWORKS
+from pb4u.network.registry import NETWORKS
 
 TINY = Pb4uConfiguration(width=16, blocks=3)
 FORMS = {

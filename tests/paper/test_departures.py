@@ -9,12 +9,12 @@ import pytest
 from pb4u.network.acceleration_model import AccelerationModel, NetworkConfiguration
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.network.propagation_control import FixedSteps
+from pb4u.network.registry import NETWORKS
 from pb4u.network.update_scaling import NoScaling
 from pb4u.paper.departures import departures, description
-from pb4u.paper.network_presets import network_preset
 from pb4u.simulation.checkpoint import Checkpoint, TrainingRecord, from_pretrained
 
-SMALL, WHOLE = network_preset("literal_small"), network_preset("literal")
+SMALL, WHOLE = NETWORKS["literal_small"], NETWORKS["literal"]
 assert isinstance(SMALL, Pb4uConfiguration)
 assert isinstance(WHOLE, Pb4uConfiguration)
 
@@ -51,7 +51,7 @@ def test_random_steps_in_training_are_a_departure() -> None:
 
 
 def test_of_released_weights_nothing_is_said_that_their_files_do_not_tell() -> None:
-    released = checkpoint(network_preset("release_pb4u"), (0, 10_000))
+    released = checkpoint(NETWORKS["release_pb4u"], (0, 10_000))
     unknown = replace(released, record=replace(released.record, details={"resolutions": "unknown"}))
     found = " ".join(departures(unknown))
     assert "drawn" not in found

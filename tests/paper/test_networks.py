@@ -16,11 +16,12 @@ from tests.paper.scenes import dented_moment, two_sheets
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.network.registry import CONFIGURATIONS, NETWORKS
 from pb4u.paper.baselines.contourcraft import ContourCraftConfiguration
 from pb4u.paper.baselines.eslr import EslrConfiguration, GeodesicAttention, geodesic_landmarks
 from pb4u.paper.baselines.hood import HoodConfiguration
 from pb4u.paper.baselines.meshgraphnet import MeshGraphNetConfiguration
-from pb4u.paper.network_presets import NETWORKS, mgn
+from pb4u.paper.network_presets import mgn
 from pb4u.scene.packed import pack
 from pb4u.simulation.checkpoint import TrainingRecord, from_pretrained, save_checkpoint
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
@@ -274,11 +275,11 @@ class PooledConfiguration(MeshGraphNetConfiguration):
     pooling: tuple[Pooling, ...] = (Pooling(), Pooling(0.25))
 
 
-def test_a_configuration_is_read_with_all_its_parts_once_a_preset_is_of_its_kind(monkeypatch):
+def test_a_configuration_is_read_with_all_its_parts_once_its_kind_is_registered(monkeypatch):
     written = configuration_to_json(PooledConfiguration(width=4))
     with pytest.raises(InputError, match="unknown type"):
         configuration_from_json(written)
-    monkeypatch.setitem(NETWORKS, "pooled", PooledConfiguration())
+    monkeypatch.setitem(CONFIGURATIONS, "PooledConfiguration", PooledConfiguration)
     assert configuration_from_json(written) == PooledConfiguration(width=4)
     with pytest.raises(InputError, match="describes a Pooling, not a network"):
         configuration_from_json(written["pooling"][0])

@@ -20,8 +20,8 @@ from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.network.graph.features import Feature, FeatureLayout
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.network.propagation_control import FixedSteps
+from pb4u.network.registry import NETWORKS
 from pb4u.network.update_scaling import NoScaling
-from pb4u.paper.network_presets import NETWORKS
 from pb4u.scene.packed import pack
 from pb4u.simulation.checkpoint import (
     TrainingRecord,

@@ -23,7 +23,7 @@ from pb4u.errors import InputError
 from pb4u.garment.dressing import AttachedPlacement
 from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.network.acceleration_model import AccelerationModel
-from pb4u.paper.network_presets import NETWORKS
+from pb4u.network.registry import NETWORKS
 from pb4u.physics.contact.contact_set import ContactPlanes
 from pb4u.scene.scene import DressedGarment, Scene
 from pb4u.simulation.checkpoint import from_pretrained

@@ -12,7 +12,7 @@ from torch import Tensor
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import AccelerationModel, NetworkConfiguration
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
-from pb4u.paper.network_presets import network_preset
+from pb4u.network.registry import NETWORKS
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.colliders import ColliderFrame, pack_colliders
@@ -130,7 +130,7 @@ def test_pinned_vertices_are_left_to_their_pins() -> None:
 @pytest.mark.parametrize("name", ["pb4u_small_carried", "mgn_small", "hood_small", "eslr_small", "contourcraft_small"])
 def test_a_network_that_adds_nothing_ends_at_the_start(name: str) -> None:
     torch.manual_seed(0)
-    model = AccelerationModel(replace(network_preset(name), width=8).network())
+    model = AccelerationModel(replace(NETWORKS[name], width=8).network())
     for parameter in model.network.decoder.parameters():
         torch.nn.init.zeros_(parameter)
     at = sheet_on_a_rising_ball(0.03)
@@ -141,7 +141,7 @@ def test_a_network_that_adds_nothing_ends_at_the_start(name: str) -> None:
     assert torch.allclose(take(at, method).positions, expected.positions)
 
 
-@pytest.mark.parametrize("network", [Pb4uConfiguration(), network_preset("eslr"), network_preset("contourcraft")])
+@pytest.mark.parametrize("network", [Pb4uConfiguration(), NETWORKS["eslr"], NETWORKS["contourcraft"]])
 @pytest.mark.parametrize("shares", [(0.0,), (-0.5,), (0.5, 1.5)])
 def test_shares_beyond_the_bodys_motion_are_refused(network: NetworkConfiguration, shares: tuple[float, ...]) -> None:
     with pytest.raises(InputError, match="Shares of the body's motion"):

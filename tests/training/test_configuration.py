@@ -10,16 +10,21 @@ import numpy as np
 import pytest
 
 from pb4u.errors import InputError
-from pb4u.paper.network_presets import NETWORKS
-from pb4u.paper.training_presets import TRAININGS, training_preset
-from pb4u.training.configuration import TrainingConfiguration, training_from_json, training_to_json, with_settings
+from pb4u.network.registry import NETWORKS
+from pb4u.training.configuration import (
+    TRAININGS,
+    TrainingConfiguration,
+    training_from_json,
+    training_to_json,
+    with_settings,
+)
 from pb4u.training.request import TrainingRequest
 from pb4u.training.session import train
 
 
 @pytest.mark.parametrize("name", TRAININGS)
 def test_every_preset_survives_json(name: str) -> None:
-    configuration = training_preset(name)
+    configuration = TRAININGS.named(name).configuration
     assert training_from_json(json.loads(json.dumps(training_to_json(configuration)))) == configuration
 
 
@@ -77,7 +82,7 @@ def test_what_cannot_be_set_is_refused_in_a_sentence(setting: str, sentence: str
 
 def test_unknown_presets_and_foreign_records_are_refused() -> None:
     with pytest.raises(InputError, match="did you mean small"):
-        training_preset("smal")
+        TRAININGS.named("smal")
     with pytest.raises(InputError, match="cannot be read"):
         training_from_json({"network": {"type": "Foreign"}})
 
@@ -100,4 +105,4 @@ def test_the_literal_arms_differ_in_control_and_scaling_alone() -> None:
 def test_the_literal_network_learns_the_k_of_its_mean_edge_length_up_to_32_times_its_triangles() -> None:
     network = NETWORKS["literal_small"]
     finest = network.scaling.reference_length / np.sqrt(32.0)
-    assert training_preset("literal_small").most_propagation_steps >= network.control.distance / finest
+    assert TRAININGS.named("literal_small").configuration.most_propagation_steps >= network.control.distance / finest

@@ -241,16 +241,15 @@ def pack(
     Raises:
         InputError: the file cannot be written or is no .npz, or a preset, a setting or a recording cannot be used.
     """
-    from pb4u.paper.training_presets import training_preset
     from pb4u.training.collection import collect
-    from pb4u.training.configuration import with_settings
+    from pb4u.training.configuration import TRAININGS, with_settings
     from pb4u.training.packed_data import save_training_data
 
     if out.suffix.lower() != ".npz":
         raise InputError(f"A training pack is an .npz; {out} ends otherwise.")
     check_writable(out, "the pack")
     check_json_target(json)
-    configuration = with_settings(training_preset(preset), set_ or ())
+    configuration = with_settings(TRAININGS.named(preset).configuration, set_ or ())
     with progress_bar("pack") as progress:
         data = collect(configuration.data, recordings, configuration.seed, progress)
     save_training_data(data, out)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pb4u.scene.colliders import ColliderFrame, ColliderPose
 from pb4u.scene.state import State
-from pb4u.simulation.first_frame import FirstFrame, untangled
+from pb4u.simulation.first_frame import FIRST_FRAMES, FirstFrame, untangled
 from pb4u.simulation.step import StepMethod, take
 from pb4u.simulation.timeline import SETTLING_DT, Timeline
 
@@ -86,10 +86,7 @@ def pushed_out(positions: Tensor, body: ColliderPose, factor: float) -> Tensor:
     return positions - factor * (height - CLEARANCE).clamp_max(0.0) * normal
 
 
-FIRST_FRAMES: dict[str, FirstFrame] = {
-    "release": StandingStart(),
-    "hood": StandingStart(push=1.0),
-    "mgn": MovingStart(),
-    "contourcraft": SkinnedStart(),
-}
-"""First frames of the released code, by the name that `first_frame` takes."""
+FIRST_FRAMES["release"] = StandingStart()
+FIRST_FRAMES["hood"] = StandingStart(push=1.0)
+FIRST_FRAMES["mgn"] = MovingStart()
+FIRST_FRAMES["contourcraft"] = SkinnedStart()

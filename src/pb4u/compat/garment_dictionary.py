@@ -14,6 +14,7 @@ from pb4u.body.skinning import strongest_influences
 from pb4u.errors import InputError
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.garment import Garment, GarmentSkinning
+from pb4u.garment.library import DICTIONARIES
 from pb4u.garment.material import Material
 from pb4u.geometry.topology import Topology
 from pb4u.io.restricted_pickle import load_pickle
@@ -69,6 +70,9 @@ def read_dictionary_garment(entry: DictionaryEntry, material: Material) -> Garme
         coarse_edges=_coarse_edges(where, fields.get("coarse_edges"), entry.centre, count),
         skinning=None if fields.get("lbs") is None else _skinning(where, fields["lbs"], count),
     )
+
+
+DICTIONARIES[".pkl"] = read_dictionary_garment
 
 
 def _read(

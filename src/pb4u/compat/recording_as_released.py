@@ -17,7 +17,8 @@ from pb4u.io.array_archive import member_names, read_arrays
 from pb4u.io.reading_limits import names_text
 from pb4u.io.restricted_pickle import load_pickle
 from pb4u.io.stored_numbers import stored_numbers
-from pb4u.motion.motion import Motion, Performed
+from pb4u.motion.library import AS_RECORDED
+from pb4u.motion.motion import MotionAsRecorded, Performed
 from pb4u.motion.recording import finite_frames
 
 FPS = 30.0
@@ -44,7 +45,7 @@ class SmplSequence:
     betas: np.ndarray
 
 
-class RecordingAsItIs(Motion):
+class RecordingAsItIs(MotionAsRecorded):
     """A recording of SMPL that nothing is changed of: not turned, not moved, not set on the ground, not resampled.
 
     Hands are held flat, as the released code does on loading. Arms held away turn the shoulders about z by so much.
@@ -114,6 +115,9 @@ class RecordingAsItIs(Motion):
             )
         root = body.skeleton.joints[0] - np.array([0.0, body.lift, 0.0])
         return PoseSequence(world_rotations(local, body.skeleton.parents), translations + root, FPS)
+
+
+AS_RECORDED.update(dict.fromkeys((".pkl", ".npz"), RecordingAsItIs))
 
 
 def read_smpl_sequence(path: Path, crop: tuple[int, int] | None = None) -> SmplSequence:

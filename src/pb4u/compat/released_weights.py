@@ -22,8 +22,8 @@ from pb4u.network.acceleration_model import NetworkConfiguration
 from pb4u.network.encode_process_decode import LEVEL_WIDTH, TYPE_WIDTH, EncodeProcessDecode
 from pb4u.network.graph.features import TABLES, FeatureLayout, MaterialRange, total_width
 from pb4u.network.graph.graph import NodeType
-from pb4u.paper.network_presets import network_preset
-from pb4u.simulation.checkpoint import Checkpoint, TrainingRecord, built_checkpoint, save_tensors
+from pb4u.network.registry import NETWORKS
+from pb4u.simulation.checkpoint import READERS, Checkpoint, TrainingRecord, built_checkpoint, save_tensors
 
 UNKNOWN_LICENCE = "unknown: ask the author"
 
@@ -99,7 +99,7 @@ def read_released(path: Path | str, method: str | None = None, licence: str | No
         raise InputError(f"There is no checkpoint {path}.")
     file = ReleasedFile.read(path)
     chosen = _method(file, method)
-    preset = network_preset(chosen.preset)
+    preset = NETWORKS[chosen.preset]
     width = len(file.tensor(f"{NETWORK}node_encoder.0.layers.0.bias"))
     layout = replace(preset.layout, material_range=_material_range(file))
     configuration = chosen.configure(file, replace(preset, width=width, layout=layout))
@@ -110,6 +110,9 @@ def read_released(path: Path | str, method: str | None = None, licence: str | No
     return ReleasedWeights(
         path.stem, chosen.preset, configuration, tensors, _record(file, chosen), licence or UNKNOWN_LICENCE, dropped
     )
+
+
+READERS.update(dict.fromkeys((".pth", ".pt"), lambda path: read_released(path).checkpoint()))
 
 
 def _method(file: ReleasedFile, name: str | None) -> ReleasedMethod:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pb4u.errors import InputError, on_disk
 from pb4u.io.atomic_file import LOCK, MARK, check_writable, move_into_place, working_folder
 from pb4u.progress import Progress, no_progress
+from pb4u.registry import Registry
 
 if TYPE_CHECKING:
     from pb4u.export.view import View
@@ -49,7 +50,7 @@ class Format:
     side_multiple: int = 1
 
 
-FORMATS = (
+_OWN = (
     Format((".npz",), "NPZ is exact and keeps velocities", "pb4u.export.registry:write_npz", finite=False),
     Format(
         (".obj",),
@@ -84,11 +85,6 @@ FORMATS = (
         coloured=True,
     ),
     Format(
-        (".pkl",),
-        "PKL is the result layout of HOOD's family, for their viewers",
-        "pb4u.compat.result_pickle:write_result",
-    ),
-    Format(
         (".glb",),
         "GLB is within 1 mm (else a warning says how far off)",
         "pb4u.export.gltf:write_glb",
@@ -119,13 +115,13 @@ FORMATS = (
     ),
 )
 
-WRITERS: dict[str, Format] = {suffix: form for form in FORMATS for suffix in form.suffixes}
+WRITERS: Registry[Format] = Registry("format", {suffix: form for form in _OWN for suffix in form.suffixes})
 """The format of every suffix."""
 
 
 def formats_help() -> str:
     """List of all suffixes, and a sentence on each format, as text."""
-    return ". ".join([" ".join(WRITERS), *(form.description for form in FORMATS)]) + "."
+    return ". ".join([" ".join(WRITERS), *dict.fromkeys(form.description for form in WRITERS.values())]) + "."
 
 
 def check_target(path: Path) -> None:

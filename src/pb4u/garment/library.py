@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
@@ -10,16 +12,20 @@ from pb4u.errors import InputError, refuse_unknown
 from pb4u.garment.body_form import form_of
 from pb4u.garment.clearance import clear_of_body
 from pb4u.garment.cuts import CUTS, Cut
+from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.garment import Garment
-from pb4u.garment.material import MATERIALS
+from pb4u.garment.material import MATERIALS, Material
 from pb4u.garment.panels import flat_panels
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.tailoring import tailor
 from pb4u.geometry.implicit_surface import ImplicitSurface
+from pb4u.registry import Registry
 
 #: Triangle counts of the named levels of detail.
 LEVELS: dict[str, int] = {"base": 2500, "11K": 11000, "18K": 18000, "25K": 25000, "38K": 38000}
 
+DICTIONARIES: Registry[Callable[[DictionaryEntry, Material], Garment]] = Registry("dictionary of garments")
+"""Suffix -> reader of one garment of a dictionary, in a material."""
 SEWN: dict[str, str] = dict.fromkeys((".json", ".toml", ".npz"), "pb4u.pattern.files:load_worn")
 """Kinds of garment files that are fitted to a body by simulation -> what loads them (file, body, material, triangles).
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from pkgutil import resolve_name
@@ -11,7 +12,7 @@ from typing import cast
 from pb4u.errors import InputError, unknown_name, unread_kind
 from pb4u.io.restricted_pickle import load_pickle
 from pb4u.motion.ground import on_level_ground
-from pb4u.motion.motion import Motion
+from pb4u.motion.motion import Motion, MotionAsRecorded
 from pb4u.motion.procedural import CLIPS, ProceduralMotion
 from pb4u.motion.recording import Recording
 from pb4u.motion.repair import with_leap_notes, without_false_start, without_flips
@@ -19,6 +20,7 @@ from pb4u.motion.retargeting import RecordedMotion
 from pb4u.motion.smpl_recording import vto_recording
 from pb4u.motion.steadying import steadied
 from pb4u.motion.wham import holds_people, wham_recording
+from pb4u.registry import Registry
 
 READERS = {
     ".amc": "pb4u.motion.asf_amc:read_amc",
@@ -30,6 +32,10 @@ READERS = {
 }
 """Suffix -> function of a path that gives its `Recording`; another format is one more line here."""
 SUFFIXES = tuple(READERS)
+AS_RECORDED: Registry[Callable[[Path, tuple[int, int] | None, float | None], MotionAsRecorded]] = Registry(
+    "recording as recorded"
+)
+"""Suffix -> function of a path, a crop and degrees (see `load_motion`) that gives the recording, otherwise as it is."""
 _OF_SEVERAL = (".pkl",)
 """Suffixes whose reader also takes the person, as files of them may hold several."""
 

@@ -101,3 +101,25 @@ class Motion(ABC):
     @abstractmethod
     def _perform(self, body: ShapedBody, fps: float, frames: np.ndarray) -> Performed:
         """What `body` does at consecutive `frames` (frames,), counted at `fps`."""
+
+
+class MotionAsRecorded(Motion):
+    """A recording that is played as it is, by a body of the recorded shape, with a lead-in of its own."""
+
+    @property
+    @abstractmethod
+    def shape(self) -> dict[str, float]:
+        """Shape parameters of the recorded body by name."""
+
+    @abstractmethod
+    def led_in(self, body: ShapedBody, fps: float, frames: int) -> PoseSequence:
+        """The whole recording with frames before it.
+
+        Args:
+            body: who performs it.
+            fps: frames per second [1/s].
+            frames: number of frames before it.
+
+        Raises:
+            InputError: the body cannot perform it, or not at this rate.
+        """

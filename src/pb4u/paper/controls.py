@@ -12,6 +12,7 @@ from pb4u.network.acceleration_model import GraphNetwork
 from pb4u.network.graph.garment_graph import incident_lengths
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
+from pb4u.simulation.models import CONTROLS
 from pb4u.simulation.network_pass import DescentFeature
 from pb4u.simulation.pass_search import search_of
 from pb4u.simulation.simulator import RunRecord
@@ -60,6 +61,9 @@ class ControlSimulator(StepwiseSimulator):
             self.potential.self_contact,
             search_of(self.like),
         )
+
+
+CONTROLS.update(dict.fromkeys((GRADIENT_DESCENT, WARM_START), ControlSimulator))
 
 
 class GradientPass:

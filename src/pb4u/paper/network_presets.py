@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TypeVar
 
-from pb4u.errors import refuse_unknown
 from pb4u.network.acceleration_model import NetworkConfiguration
 from pb4u.network.graph.features import ADVANCE, DESCENT, FeatureLayout, MaterialRange
 from pb4u.network.graph.pins import PinsAtTarget, PinsAtTargetInEdges
@@ -13,6 +12,7 @@ from pb4u.network.graph.world_edges import NearestFaceRule, WorldEdgeRule
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.network.propagation import PAPER_PROPAGATION, RELEASED_PROPAGATION
 from pb4u.network.propagation_control import ConstantDistance, FixedSteps, TruncatedDistance
+from pb4u.network.registry import CONFIGURATIONS, NETWORKS
 from pb4u.network.update_scaling import MeanScaling, NoScaling, PerVertexScaling
 from pb4u.paper.baselines.contourcraft import ContourCraftConfiguration
 from pb4u.paper.baselines.directed_self_contact import DirectedSelfEdges
@@ -133,66 +133,46 @@ release_contourcraft = ContourCraftConfiguration(
 )  # fmt: skip
 
 
-def _ablations(prefix: str, whole: Pb4uConfiguration, steps: int) -> dict[str, tuple[NetworkConfiguration, str]]:
+def _ablations(prefix: str, whole: Pb4uConfiguration, steps: int) -> dict[str, NetworkConfiguration]:
     """The network without propagation control, without update scaling, and without both."""
     fixed = replace(whole, control=FixedSteps(steps))
-    unscaled = "updates as predicted at every resolution"
     return {
-        f"{prefix}without_propagation_control": (fixed, f"{steps} steps at every resolution"),
-        f"{prefix}without_update_scaling": (replace(whole, scaling=NoScaling()), unscaled),
-        f"{prefix}without_both": (replace(fixed, scaling=NoScaling()), f"{steps} steps, {unscaled}"),
+        f"{prefix}without_propagation_control": fixed,
+        f"{prefix}without_update_scaling": replace(whole, scaling=NoScaling()),
+        f"{prefix}without_both": replace(fixed, scaling=NoScaling()),
     }
 
 
-PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
-    "pb4u_paper": (pb4u_paper, "the paper's network"),
-    "release_pb4u": (release_pb4u, "the released network to the last digit, for its checkpoints"),
-    "release_mgn": (release_mgn, "the released MeshGraphNet (fine15) to the last digit"),
-    "release_mgn_48": (replace(release_mgn, blocks=48), "the released fine48"),
-    "release_hood": (release_hood, "the released HOOD (postcvpr) to the last digit"),
-    "release_hood_cvpr": (release_hood_cvpr, "the HOOD of the paper (cvpr) to the last digit"),
-    "release_contourcraft": (release_contourcraft, "the released ContourCraft"),
-    "literal": (literal, "the features that the paper names and nothing else, free flight, one pass"),
-    "literal_small": (literal_small, "the same, 64 wide with 4 blocks, for a processor"),
-    **_ablations("literal_small_", literal_small, 5),
-    "pb4u_small": (pb4u_small, "64 wide with 4 blocks, for a processor"),
-    "pb4u_small_carried": (pb4u_small_carried, "the small one, each step started part of the way with the body"),
-    "pb4u_small_two_passes": (pb4u_small_two_passes, "that one, evaluated twice a step"),
-    "pb4u_small_conjugate": (
-        pb4u_small_conjugate,
-        "that one, its passes joined and asked for where a step needs them, the descent shown at one size",
-    ),
-    "conjugate_without_gradient": (_small_without_gradient, "that one, blind to the gradient of the energies"),
-    **_ablations("", pb4u_paper, 15),
-    # The paper's rule gives a T-shirt of 1,200 triangles 5 steps, the finest that `comparison` trains on.
-    **_ablations("small_", pb4u_small_carried, 5),
-    **_ablations("conjugate_", pb4u_small_conjugate, 5),
-    "mgn": (mgn, "MeshGraphNet, 15 blocks"),
-    "hood": (hood, "HOOD, two coarse levels"),
-    "eslr": (eslr, "ESLR, a reconstruction"),
-    "contourcraft": (contourcraft, "ContourCraft"),
-    "mgn_small": (_mgn_small, "MeshGraphNet for a processor"),
-    "hood_small": (_hood_small, "HOOD for a processor, one block a stage"),
-    "eslr_small": (with_start_shares(replace(eslr, width=64, layers=3, landmarks=64)), "ESLR for a processor"),
-    "contourcraft_small": (
-        with_start_shares(replace(contourcraft, width=64, blocks=4, level=2)),
-        "ContourCraft for a processor, a level less: at the 30 mm of its finest training mesh, coarse edges of 0.24 m "
-        "as ContourCraft's are at 15 mm",
-    ),
-}
-"""Every network that can be trained by name, and what it is."""
-
-NETWORKS: dict[str, NetworkConfiguration] = {name: configuration for name, (configuration, _) in PRESETS.items()}
-
-
-def network_preset(name: str) -> NetworkConfiguration:
-    """Network configuration called `name`.
-
-    Args:
-        name: key of `NETWORKS`.
-
-    Raises:
-        InputError: there is none; the names are listed.
-    """
-    refuse_unknown("network preset", [name], NETWORKS)
-    return NETWORKS[name]
+NETWORKS.update(
+    {
+        "pb4u_paper": pb4u_paper,
+        "release_pb4u": release_pb4u,
+        "release_mgn": release_mgn,  # fine15
+        "release_mgn_48": replace(release_mgn, blocks=48),  # fine48
+        "release_hood": release_hood,  # postcvpr
+        "release_hood_cvpr": release_hood_cvpr,  # that of HOOD's paper
+        "release_contourcraft": release_contourcraft,
+        "literal": literal,
+        "literal_small": literal_small,
+        **_ablations("literal_small_", literal_small, 5),
+        "pb4u_small": pb4u_small,
+        "pb4u_small_carried": pb4u_small_carried,
+        "pb4u_small_two_passes": pb4u_small_two_passes,
+        "pb4u_small_conjugate": pb4u_small_conjugate,
+        "conjugate_without_gradient": _small_without_gradient,
+        **_ablations("", pb4u_paper, 15),
+        # The paper's rule gives a T-shirt of 1,200 triangles 5 steps, the finest that `comparison` trains on.
+        **_ablations("small_", pb4u_small_carried, 5),
+        **_ablations("conjugate_", pb4u_small_conjugate, 5),
+        "mgn": mgn,
+        "hood": hood,
+        "eslr": eslr,
+        "contourcraft": contourcraft,
+        "mgn_small": _mgn_small,
+        "hood_small": _hood_small,
+        "eslr_small": with_start_shares(replace(eslr, width=64, layers=3, landmarks=64)),
+        # A level less: at the 30 mm of its finest training mesh, coarse edges of 0.24 m as ContourCraft's are at 15 mm.
+        "contourcraft_small": with_start_shares(replace(contourcraft, width=64, blocks=4, level=2)),
+    }
+)
+CONFIGURATIONS.update({type(network).__name__: type(network) for network in NETWORKS.values()})

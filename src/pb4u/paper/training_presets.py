@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from pb4u.errors import refuse_unknown
+from pb4u.network.registry import NETWORKS
 from pb4u.paper import network_presets
-from pb4u.paper.network_presets import (
-    pb4u_paper,
-    pb4u_small,
-    pb4u_small_carried,
-    pb4u_small_conjugate,
-    pb4u_small_two_passes,
+from pb4u.simulation.models import TRAINABLE
+from pb4u.training.configuration import (
+    TRAININGS,
+    DataSelection,
+    MaterialSampling,
+    TrainingConfiguration,
+    TrainingPreset,
 )
-from pb4u.training.configuration import DataSelection, MaterialSampling, TrainingConfiguration
 from pb4u.training.curriculum import Curriculum
 
-paper = TrainingConfiguration(network=pb4u_paper, data=DataSelection(triangles=(11000,)), checkpoint_every=2000)
+paper = TrainingConfiguration(
+    network=network_presets.pb4u_paper, data=DataSelection(triangles=(11000,)), checkpoint_every=2000
+)
 """The paper's own protocol: one low level, windows of up to 5 steps, 450,000 optimiser steps."""
 
 literal = TrainingConfiguration(
@@ -33,7 +35,7 @@ literal = TrainingConfiguration(
 literal_small = replace(literal, network=network_presets.literal_small)
 
 small = TrainingConfiguration(
-    network=pb4u_small_two_passes,
+    network=network_presets.pb4u_small_two_passes,
     data=DataSelection(triangles=(1300, 2500), shapes=4, clip_frames=200),
     curriculum=Curriculum(
         # What cloth drifts into over a clip is only seen in long windows.
@@ -56,7 +58,7 @@ small = TrainingConfiguration(
 
 wide = replace(
     small,
-    network=pb4u_small_conjugate,
+    network=network_presets.pb4u_small_conjugate,
     data=DataSelection(
         garments=("tshirt", "tanktop", "longsleeve", "dress", "fitted_dress", "cardigan", "trousers", "skirt", "cape"),
         triangles=(1100, 2400, 4800),
@@ -98,7 +100,7 @@ wide = replace(
 
 comparison = replace(
     small,
-    network=pb4u_small_carried,
+    network=network_presets.pb4u_small_carried,
     data=DataSelection(garments=("tshirt", "dress"), triangles=(700, 1200), shapes=2, clips=96),
     curriculum=Curriculum(
         window_steps=((0.0, 1), (0.03, 2), (0.06, 3), (0.1, 5), (0.4, 10), (0.7, 20)),
@@ -116,7 +118,7 @@ comparison = replace(
 
 smoke = replace(
     small,
-    network=replace(pb4u_small, width=16, blocks=1),
+    network=replace(network_presets.pb4u_small, width=16, blocks=1),
     data=DataSelection(
         garments=("tshirt",),
         triangles=(400,),
@@ -137,61 +139,28 @@ smoke = replace(
 )
 """Seconds: a test that a training runs at all."""
 
-TRAININGS: dict[str, TrainingConfiguration] = {
-    "paper": paper,
-    "literal": literal,
-    "literal_small": literal_small,
-    "small": small,
-    "wide": wide,
-    "comparison": comparison,
-    "smoke": smoke,
-}
-
-DEFAULT_STEPS = {
-    "paper": 450_000,
-    "literal": 450_000,
-    "literal_small": 450_000,
-    "small": 60_000,
-    "wide": 30_000,
-    "comparison": 8_000,
-    "smoke": 40,
-}
-"""Optimiser steps of each where neither steps nor minutes are asked for."""
+TRAININGS["paper"] = TrainingPreset(paper, 450_000)
+TRAININGS["literal"] = TrainingPreset(literal, 450_000)
+TRAININGS["literal_small"] = TrainingPreset(literal_small, 450_000)
+TRAININGS["small"] = TrainingPreset(small, 60_000)
+TRAININGS["wide"] = TrainingPreset(wide, 30_000)
+TRAININGS["comparison"] = TrainingPreset(comparison, 8_000)
+TRAININGS["smoke"] = TrainingPreset(smoke, 40)
 
 
-def trainable(name: str) -> str | None:
-    """Advice on how to train a network that has a name but no weights, and which preset is the paper's.
-
-    Args:
-        name: name that was given for a model.
-
-    Returns:
-        Part of a sentence; None where nothing is trained under the name.
-    """
-    word = name.lower().replace("-", "_")
-    if word not in TRAININGS and word not in network_presets.NETWORKS and word not in ("pb4u", "pb4u_gnet"):
-        return None
-    if word in TRAININGS:
-        how = f"`pb4u train --preset {word}` trains it"
-    elif word in network_presets.NETWORKS:
-        how = f"`pb4u train --set network={word}` trains it"
+def _advice(name: str) -> str:
+    """How a network is trained that has a name but no weights, and which preset is the paper's."""
+    if name in TRAININGS:
+        how = f"`pb4u train --preset {name}` trains it"
+    elif name in NETWORKS:
+        how = f"`pb4u train --set network={name}` trains it"
     else:
         how = "it is the name of the method"
-    if word == "literal":
+    if name == "literal":
         return f"{how}, the paper's network to the letter"
-    if word == "literal_small":
+    if name == "literal_small":
         return f"{how}, the paper's network to the letter, 64 wide with 4 blocks"
     return f"{how}; the paper's network to the letter is `literal`"
 
 
-def training_preset(name: str) -> TrainingConfiguration:
-    """Training configuration called `name`.
-
-    Args:
-        name: key of `TRAININGS`.
-
-    Raises:
-        InputError: there is none; the names are listed.
-    """
-    refuse_unknown("training preset", [name], TRAININGS)
-    return TRAININGS[name]
+TRAINABLE.update({name: _advice(name) for name in (*TRAININGS, *NETWORKS, "pb4u", "pb4u_gnet")})

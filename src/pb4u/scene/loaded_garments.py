@@ -19,7 +19,7 @@ from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_file import nearest_places, read_garment
 from pb4u.garment.layering import worn_order
-from pb4u.garment.library import SEWN, build_garment, garment_names
+from pb4u.garment.library import DICTIONARIES, SEWN, build_garment, garment_names
 from pb4u.garment.limbs_inside import with_limbs_inside
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
@@ -89,7 +89,7 @@ def load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garmen
     cloth = _load_material(worn.material or DEFAULT_MATERIAL)
     entry = DictionaryEntry.parse(garment)
     if entry is not None:
-        read = resolve_name("pb4u.compat.garment_dictionary:read_dictionary_garment")
+        read = DICTIONARIES.named(entry.path.suffix.lower())
         return _worn(tacked(_remeshed(read(entry, cloth), triangles), worn.tacks), body)
     if loader := SEWN.get(Path(garment).suffix.lower()):
         loaded = tacked(resolve_name(loader)(Path(garment), body, cloth, triangles), worn.tacks)

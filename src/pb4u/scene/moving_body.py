@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from pkgutil import resolve_name
-from typing import TYPE_CHECKING
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
@@ -17,13 +15,10 @@ from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, InputNote, warn
 from pb4u.motion.character_lead_in import character_lead_in
 from pb4u.motion.lead_in import arms_held_off, lead_in as prepend_lead_in
-from pb4u.motion.library import load_motion
-from pb4u.motion.motion import Motion
+from pb4u.motion.library import AS_RECORDED, load_motion
+from pb4u.motion.motion import Motion, MotionAsRecorded
 from pb4u.motion.steadying import CUTOFF
 from pb4u.run import Run
-
-if TYPE_CHECKING:
-    from pb4u.compat.recording_as_released import RecordingAsItIs
 
 DEFAULT_FRAMES = 60
 """Frames written of a motion without end by default: two seconds at 30 frames per second."""
@@ -64,17 +59,16 @@ def perform(run: Run) -> tuple[ShapedBody | VertexSequence, Performance]:
     return body, _perform(body, run) if recording is None else _replay(body, recording, run)
 
 
-def _recording(run: Run) -> RecordingAsItIs:
+def _recording(run: Run) -> MotionAsRecorded:
     motion = run.motion
-    if not isinstance(motion, str | Path) or not Path(motion).suffix:
+    if not isinstance(motion, str | Path) or Path(motion).suffix.lower() not in AS_RECORDED:
         raise InputError("To play a recording as recorded, give its file as the motion: a .pkl or .npz of SMPL.")
     if run.recorded_fps is not None:
         raise InputError("A recording as recorded has the frame rate of its file; leave out --recorded-fps.")
-    kind: type[RecordingAsItIs] = resolve_name("pb4u.compat.recording_as_released:RecordingAsItIs")
-    return kind(Path(motion), run.crop, run.arms_away)
+    return AS_RECORDED[Path(motion).suffix.lower()](Path(motion), run.crop, run.arms_away)
 
 
-def _load_body(run: Run, recording: RecordingAsItIs | None) -> ShapedBody | VertexSequence:
+def _load_body(run: Run, recording: MotionAsRecorded | None) -> ShapedBody | VertexSequence:
     body = _shaped_body(run, {} if recording is None else recording.shape)
     if run.omitted is None:
         return body
@@ -151,7 +145,7 @@ def _perform_clip(body: Character, run: Run) -> Performance:
     return Performance(PosedCharacter(body, poses, run.fps), _frames(run, name, available), name, body.notes)
 
 
-def _replay(body: ShapedBody, recording: RecordingAsItIs, run: Run) -> Performance:
+def _replay(body: ShapedBody, recording: MotionAsRecorded, run: Run) -> Performance:
     """A body with bones plays its recording, nothing changed."""
     poses = recording.led_in(body, run.fps, run.led_frames)
     frames = _frames(run, recording.name, recording.available_frames(run.fps))

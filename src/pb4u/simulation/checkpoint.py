@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from importlib import resources
@@ -21,6 +21,7 @@ from pb4u.garment.garment import Garment
 from pb4u.io.atomic_file import replace_file
 from pb4u.io.reading_limits import error_text, parse_json
 from pb4u.network.acceleration_model import AccelerationModel, NetworkConfiguration, PreparedGarments
+from pb4u.registry import Registry
 from pb4u.scene.packed import PackedGarments
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 
@@ -312,6 +313,10 @@ def from_pretrained(name_or_path: str | Path) -> Checkpoint:
     wanted = str(name_or_path)
     with weights_file(wanted) as path:
         return load_checkpoint(path, wanted if wanted in built_in_models() else None)
+
+
+READERS: Registry[Callable[[str], Checkpoint]] = Registry("kind of weights", {SUFFIX: from_pretrained})
+"""Suffix -> function of a path that gives its checkpoint."""
 
 
 @contextmanager

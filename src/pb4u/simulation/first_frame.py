@@ -13,6 +13,7 @@ from pb4u.collision.jit import as_float64
 from pb4u.garment.tangles import untangled_start
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.newton_solver import Solver
+from pb4u.registry import Registry
 from pb4u.scene.state import State
 from pb4u.simulation.refinement import SolverRefinement, collision_free_move
 from pb4u.simulation.step import StepMethod, take
@@ -120,3 +121,7 @@ class Settled(FirstFrame):
             if moved <= self.still:
                 break
         yield state
+
+
+FIRST_FRAMES: Registry[FirstFrame] = Registry("first frame", {"long_step": OneLongStep(), "placed": AsPlaced()})
+"""Ways to make frame 0 by the name that `first_frame` takes, but for those that hang on the energies."""

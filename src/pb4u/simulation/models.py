@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from pb4u.errors import InputError, refuse_unknown, unknown_name
 from pb4u.memory import keep_freed_memory
+from pb4u.registry import Registry
 from pb4u.run import Run, entries
 from pb4u.simulation.simulator import Simulator
 
@@ -26,8 +27,11 @@ OPTIONS: dict[str, frozenset[str]] = {
     "skinning": frozenset(),
 }
 """Models that are no networks, each with the options of `load_simulator` that it looks at; a network looks at all."""
+CONTROLS: Registry[Callable[..., Simulator]] = Registry("control")
+"""What makes a control by its name, the network that it stands beside, its passes and the options of a simulator."""
+TRAINABLE: Registry[str] = Registry("trainable network")
+"""Advice, as part of a sentence, on how to train a network that has a name but no weights."""
 _BEST = "best.safetensors"
-_RELEASED_WEIGHTS = (".pth", ".pt")
 _TRAINING_STATE = "pb4u_training"
 """Key in the header of a training's last.safetensors; `training`, which writes it, lies above this package."""
 
@@ -140,8 +144,7 @@ def simulator_of(run: Run) -> Simulator:
     passes = 1 if run.passes is None and run.refine else run.passes
     if model in OPTIONS:
         like = load_checkpoint_of(_shipped_network(model)).model.network
-        control: type[Simulator] = resolve_name("pb4u.paper.controls:ControlSimulator")
-        return control(model, like, passes, refine=run.refine, **common)  # type: ignore[call-arg]
+        return CONTROLS.named(model)(model, like, passes, refine=run.refine, **common)
     device = available_device(run.device)
     precision = _precision(run.precision, device, run.refine)
     checkpoint = load_checkpoint_of(model)
@@ -179,7 +182,7 @@ def unknown_model(name: str) -> InputError:
     Args:
         name: name that was given.
     """
-    trainable: str | None = resolve_name("pb4u.paper.training_presets:trainable")(name)
+    trainable = TRAINABLE.get(name.lower().replace("-", "_"))
     known = model_descriptions()
     if trainable is None:
         return unknown_name("model", name, known)
@@ -189,15 +192,10 @@ def unknown_model(name: str) -> InputError:
 
 def _first_frame(name: str, own: str, potential: IncrementalPotential) -> FirstFrame:
     """The way called `name` to make frame 0; `own` is the one that "auto" stands for."""
-    from pb4u.simulation.first_frame import AsPlaced, OneLongStep, Settled
+    from pb4u.simulation.first_frame import FIRST_FRAMES, Settled
 
     chosen = own if name == "auto" else name
-    if chosen == "settled":
-        return Settled(potential=potential)
-    if chosen in ("long_step", "placed"):
-        return OneLongStep() if chosen == "long_step" else AsPlaced()
-    released: dict[str, FirstFrame] = resolve_name("pb4u.compat.first_frames:FIRST_FRAMES")
-    return released[chosen]
+    return Settled(potential=potential) if chosen == "settled" else FIRST_FRAMES.named(chosen)
 
 
 def load_checkpoint_of(name: str) -> Checkpoint:
@@ -209,14 +207,13 @@ def load_checkpoint_of(name: str) -> Checkpoint:
     Raises:
         InputError: there is none, or its file cannot be used.
     """
-    from pb4u.simulation.checkpoint import built_in_models, from_pretrained
+    from pb4u.simulation.checkpoint import READERS, built_in_models, from_pretrained
 
-    if Path(name).suffix.lower() in _RELEASED_WEIGHTS:
-        checkpoint: Checkpoint = resolve_name("pb4u.compat.released_weights:read_released")(name).checkpoint()
-        return checkpoint
-    if name not in built_in_models() and not Path(name).suffix and not Path(name).exists():
+    if name in built_in_models():
+        return from_pretrained(name)
+    if not Path(name).suffix and not Path(name).exists():
         raise unknown_model(name)
-    return from_pretrained(name)
+    return READERS.get(Path(name).suffix.lower(), from_pretrained)(name)
 
 
 def _refuse_other_files_of_a_training(path: Path) -> None:

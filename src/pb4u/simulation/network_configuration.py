@@ -1,21 +1,18 @@
 """Network configurations as JSON, and back: frozen dataclasses tagged with the name of their type.
 
-The types that may be read are those of the presets and, from there, every dataclass that a field is annotated with.
+The types that may be read are those registered and, from there, every dataclass that a field is annotated with.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import fields, is_dataclass
-from pkgutil import resolve_name
 from types import UnionType
 from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import NetworkConfiguration
-
-_PRESETS = "pb4u.paper.network_presets:NETWORKS"
-"""Configurations by name, one or more of every kind of network; imported when a checkpoint is read."""
+from pb4u.network.registry import CONFIGURATIONS
 
 RENAMED = {"carried_shares": "warm_start_shares"}
 """Fields that checkpoints of before know by another name."""
@@ -39,16 +36,17 @@ def configuration_from_json(data: Any) -> NetworkConfiguration:
     Raises:
         InputError: a type or a field is unknown, or a value is refused.
     """
-    decoded = _decode(data, _known_types())
+    decoded = _decode(data, _known_types(data))
     if not isinstance(decoded, NetworkConfiguration):
         raise InputError(f"The configuration describes a {type(decoded).__name__}, not a network.")
     return decoded
 
 
-def _known_types() -> dict[str, type]:
-    """The dataclasses that configurations are made of, by name."""
+def _known_types(data: Any) -> dict[str, type]:
+    """The dataclasses that a configuration of the kind of `data` is made of, by name; of an unknown kind, all."""
+    name = data.get("type", "") if isinstance(data, dict) else ""
     known: dict[str, type] = {}
-    waiting: list[Any] = [type(preset) for preset in resolve_name(_PRESETS).values()]
+    waiting: list[Any] = [CONFIGURATIONS[name]] if name in CONFIGURATIONS else list(CONFIGURATIONS.values())
     while waiting:
         annotation = waiting.pop()
         waiting += get_args(annotation)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import ast
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
-from pkgutil import resolve_name
-from typing import Any
+from typing import Any, NamedTuple
 
 from pb4u.errors import InputError, unknown_name
 from pb4u.network.acceleration_model import NetworkConfiguration
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
+from pb4u.network.registry import NETWORKS
+from pb4u.registry import Registry
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 from pb4u.training.curriculum import Curriculum
 from pb4u.training.objective import LOSS_WEIGHTS
@@ -163,6 +164,21 @@ class TrainingConfiguration:
             raise InputError("gradient_norm must be above 0 and ema_decay from 0 up to, not including, 1.")
 
 
+class TrainingPreset(NamedTuple):
+    """A complete training.
+
+    Args:
+        configuration: its configuration.
+        steps: optimiser steps where neither steps nor minutes are asked for.
+    """
+
+    configuration: TrainingConfiguration
+    steps: int
+
+
+TRAININGS: Registry[TrainingPreset] = Registry("training preset")
+"""Complete trainings by name."""
+
 _PARTS: dict[str, type] = {"data": DataSelection, "curriculum": Curriculum, "material": MaterialSampling}
 
 
@@ -211,9 +227,7 @@ def with_settings(configuration: TrainingConfiguration, settings: Sequence[str])
         if not equals:
             raise InputError(f"--set takes KEY=VALUE, such as batch=2; {setting!r} has no =.")
         if key.strip() == "network":
-            configuration = replace(
-                configuration, network=resolve_name("pb4u.paper.network_presets:network_preset")(text.strip())
-            )
+            configuration = replace(configuration, network=NETWORKS.named(text.strip()))
             continue
         configuration = _replaced(configuration, key.strip(), key.strip().split("."), text.strip())
     return configuration

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, fields, replace
 from pathlib import Path
-from pkgutil import resolve_name
 from types import FrameType
 from typing import Any
 
@@ -20,6 +19,7 @@ from pb4u.simulation.checkpoint import built_in_models, from_pretrained, trainin
 from pb4u.training.averaged_weights import FREE_LICENCE
 from pb4u.training.budget import Budget
 from pb4u.training.configuration import (
+    TRAININGS,
     TrainingConfiguration,
     training_from_json,
     training_to_json,
@@ -92,8 +92,7 @@ def _refuse_other_data(request: TrainingRequest) -> None:
 def _configured(request: TrainingRequest) -> tuple[TrainingConfiguration, Budget]:
     if request.pack is not None:
         _refuse_other_data(request)
-    preset = request.preset or "small"
-    configuration: TrainingConfiguration = resolve_name("pb4u.paper.training_presets:training_preset")(preset)
+    configuration, usual_steps = TRAININGS.named(request.preset or "small")
     begun = None if request.weights is None else from_pretrained(request.weights).configuration
     if begun is not None:
         configuration = replace(configuration, network=begun)
@@ -112,7 +111,7 @@ def _configured(request: TrainingRequest) -> tuple[TrainingConfiguration, Budget
         )
     steps = request.steps
     if steps is None and request.minutes is None:
-        steps = resolve_name("pb4u.paper.training_presets:DEFAULT_STEPS")[preset]
+        steps = usual_steps
     return configuration, Budget(steps, request.minutes)
 
 
