@@ -14,7 +14,7 @@ from pb4u.geometry.appearance import Appearance, Appearances
 from pb4u.geometry.mesh_arrays import as_numbers, checked_faces, checked_places, checked_vertices
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology
-from pb4u.geometry.triangle_mesh import edge_lengths, face_areas
+from pb4u.geometry.triangle_mesh import edge_lengths, face_areas, laid_flat
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,16 +169,17 @@ class Garment:
         return Topology(self.faces, len(self.vertices))
 
     @cached_property
-    def rest_corners(self) -> np.ndarray:
-        """Corners (faces, 3, 3) [m] of the faces at rest: flat ones have a third coordinate of 0."""
-        if self.rest_uv is None:
-            return self.vertices[self.faces]
-        return np.concatenate([self.rest_uv, np.zeros((len(self.faces), 3, 1))], axis=2)
+    def rest_shape(self) -> np.ndarray:
+        """Corners (faces, 3, 2) [m] of the faces at rest, flat: in the panels' axes where it was cut flat."""
+        return laid_flat(self.vertices[self.faces]) if self.rest_uv is None else self.rest_uv
 
     @cached_property
     def face_areas(self) -> np.ndarray:
         """Rest areas (faces,) [m^2] of the faces."""
-        return face_areas(self.rest_corners.reshape(-1, 3), np.arange(3 * len(self.faces)).reshape(-1, 3))
+        if self.rest_uv is None:
+            return face_areas(self.vertices, self.faces)
+        along, across = self.rest_uv[:, 1] - self.rest_uv[:, 0], self.rest_uv[:, 2] - self.rest_uv[:, 0]
+        return 0.5 * np.abs(along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0])
 
     @cached_property
     def vertex_areas(self) -> np.ndarray:

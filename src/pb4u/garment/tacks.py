@@ -11,7 +11,6 @@ from pb4u.errors import InputError
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_file import map_to_same
 from pb4u.geometry.topology import Topology, connected_labels
-from pb4u.geometry.triangle_mesh import laid_flat
 
 FARTHEST = 0.1
 """Distance [m] over which a tack may pull two vertices together; what is farther apart is another place."""
@@ -64,7 +63,7 @@ def tacked(garment: Garment, tacks: Sequence[tuple[int, int]]) -> Garment:
         skinning = skinning.at(np.repeat(first[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (count, 1)))
     return replace(
         garment, vertices=vertices, faces=faces, pinned=pinned, source=source or _source_of(garment), coarse_edges=(),
-        skinning=skinning, rest_uv=laid_flat(garment.rest_corners),
+        skinning=skinning, rest_uv=garment.rest_shape,
     )  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -187,17 +188,17 @@ def _garment(header: TrajectoryHeader, entry: dict[str, Any]) -> Garment:
     flat = None if header.rest_uv is None else np.asarray(header.rest_uv[triangles], dtype=np.float64)
     if flat is not None and not np.isfinite(flat).all():
         flat = None
-    material = _material(entry["material"])
-    garment = Garment(str(entry["name"]), rest, faces, material, header.pinned[vertices], rest_uv=flat)
+    materials: list[Material] = []
+    places = np.zeros(len(header.faces), dtype=np.int64)
     for listed in header.metadata.get("materials", ()):
-        of_faces = np.zeros(len(header.faces), dtype=bool)
-        for first, stop in listed["faces"]:
-            of_faces[first:stop] = True
-        if of_faces[triangles].all():
-            return garment.with_material(_material(listed))
-        if of_faces[triangles].any():
-            garment = garment.with_part(_material(listed), of_faces[triangles])
-    return garment
+        if any(triangles.start <= first < triangles.stop for first, _ in listed["faces"]):
+            for first, stop in listed["faces"]:
+                places[first:stop] = len(materials)
+            materials.append(_material(listed))
+    garment = Garment(
+        str(entry["name"]), rest, faces, _material(entry["material"]), header.pinned[vertices], rest_uv=flat
+    )
+    return replace(garment, materials=tuple(materials), face_material=places[triangles]) if materials else garment
 
 
 def _material(entry: dict[str, Any]) -> Material:

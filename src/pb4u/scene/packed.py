@@ -22,7 +22,6 @@ from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.geometry.topology import joined_indices, offsets
-from pb4u.geometry.triangle_mesh import laid_flat
 from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.threads import to_device
 
@@ -34,7 +33,8 @@ class PackedGarments:
     Args:
         rest_positions: (vertices, 3) [m].
         faces: (faces, 3) int64 into the packed vertices.
-        inverse_rest_shape: (faces, 2, 2) [1/m] inverse of the rest triangle's edge matrix in its own plane.
+        inverse_rest_shape: (faces, 2, 2) [1/m] inverse of the rest triangle's edge matrix, along the grain
+            where the garment has one.
         face_areas: (faces,) rest areas [m^2].
         membrane: (faces, 4) moduli c11, c22, c12 and c33 [N/m] along the axes of the rest shape.
         thickness: (faces,) [m].
@@ -223,28 +223,24 @@ class PackedGarments:
 
 
 def inverse_rest_shapes(corners: np.ndarray) -> np.ndarray:
-    """Inverses (faces, 2, 2) [1/m] of [x1 x2; 0 y2], the rest triangle's edges from corner 0 in its own plane.
+    """Inverses (faces, 2, 2) [1/m] of the rest triangles' edge matrices, edges from corner 0 in columns.
 
     Args:
-        corners: (faces, 3, 3) of the triangles at rest [m].
+        corners: (faces, 3, 2) of the triangles at rest [m], along the grain where there is one.
 
     Raises:
         InputError: triangles are degenerate; they are named.
     """
-    flat = laid_flat(corners)
-    x1, x2, y2 = flat[:, 1, 0], flat[:, 2, 0], flat[:, 2, 1]
-    longest = np.maximum(x1, np.linalg.norm(corners[:, 2] - corners[:, 0], axis=1))
-    bad = np.flatnonzero(~(x1 > 0) | ~(y2 > 1e-6 * longest))
+    (b1, b2), (c1, c2) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    doubled = b1 * c2 - b2 * c1
+    lengths = np.hypot(b1, b2), np.hypot(c1, c2)
+    bad = np.flatnonzero(~(np.abs(doubled) > 1e-6 * lengths[0] * np.maximum(*lengths)))
     if len(bad):
         raise InputError(
             f"{len(bad)} rest triangle(s) have no area, first faces {bad[:5].tolist()}; "
             "mend them with `pb4u check GARMENT.obj --fix OUT.obj`."
         )
-    inverse = np.zeros((len(corners), 2, 2))
-    inverse[:, 0, 0] = 1.0 / x1
-    inverse[:, 0, 1] = -x2 / (x1 * y2)
-    inverse[:, 1, 1] = 1.0 / y2
-    return inverse
+    return np.stack([c2, -c1, -b2, b1], axis=1).reshape(-1, 2, 2) / doubled[:, None, None]
 
 
 def _mean_at_vertices(garment: Garment, values: np.ndarray) -> np.ndarray:
@@ -289,7 +285,7 @@ def pack(
     return PackedGarments(
         rest_positions=real([g.vertices for g in garments]),
         faces=index([g.faces for g in garments]),
-        inverse_rest_shape=real([inverse_rest_shapes(g.rest_corners) for g in garments]),
+        inverse_rest_shape=real([inverse_rest_shapes(g.rest_shape) for g in garments]),
         face_areas=real([g.face_areas for g in garments]),
         membrane=per_face("membrane"),
         thickness=per_face("thickness"),
