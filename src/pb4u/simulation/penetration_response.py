@@ -1,4 +1,4 @@
-"""Contact response: vertices that a step leaves inside a body or the ground are pushed out without gaining speed."""
+"""Contact response: vertices that a step leaves inside a body or the ground are pushed out without gaining speed (decision 40)."""
 
 from __future__ import annotations
 
