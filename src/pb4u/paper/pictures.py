@@ -42,7 +42,7 @@ def picture_grid(summary: Summary) -> list[Block]:
         for garment in dict.fromkeys(garment for garment, _ in shown):
             for model in models:
                 job, state = shown.get((garment, model), (None, ""))
-                picture = job and draw_still(summary.still(job))
+                picture = None if job is None else draw_still(summary.still(job))
                 state = state or ("absent" if picture is None else "")
                 panels.append((picture, f"{garment}: {model}" + (f"\n{state}" if state else "")))
     except Pb4uError as error:

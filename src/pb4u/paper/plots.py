@@ -115,7 +115,9 @@ def _line(axis: Any, x: Sequence[Any], cells: Sequence[Cell], quantity: str, mod
     axis.errorbar([at for at, _ in found], means, deviations, label=model, color=colour, marker="o", capsize=2)
     if quantity == "total":
         axis.set_yscale("symlog", linthresh=1.0)
-    elif quantity != "survived_percent" and max(means) > 0.0:
+    elif quantity == "survived_percent":
+        axis.set_ylim(0.0, 105.0)
+    elif max(means) > 0.0:
         axis.set_yscale("log", nonpositive="mask")
 
 
