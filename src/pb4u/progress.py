@@ -21,31 +21,8 @@ _LEAST_PARTS, _LEAST_SECONDS = 3, 2.0
 _LEAST_SECONDS_OF_MANY = 20.0
 """The same time [s] where parts differ: garments and rollouts of all kinds come in turn."""
 
-_NEAR = 1.5
-"""Times what was expected within which the first measured time is not worth a sentence."""
-
 _SLOWER = 2.0
 """Times the time of a part that was said, or that was too short to say, from which it is said again."""
-
-
-_USUAL = 0.003
-"""Time [s] of the work of `slowness` on one core of the machine of the figures by experience (docs/performance.md)."""
-
-
-def slowness(clock: Callable[[], float] = time.perf_counter) -> float:
-    """How many times as long as by experience work takes here and now, by 50 ms of sorting and gathering.
-
-    Args:
-        clock: the time [s].
-    """
-    import numpy as np
-
-    seconds, values = list[float](), np.random.default_rng(0).random((50_000, 3))
-    while sum(seconds) < 0.05:
-        began, order = clock(), np.argsort(values[:, 0])
-        np.einsum("nd,nd->n", values[order], values)
-        seconds.append(clock() - began)
-    return median(seconds) / _USUAL
 
 
 def no_progress(done: int, total: int) -> None:
@@ -99,8 +76,6 @@ class Estimate:
         say: called with the sentence.
         part: what a part is called, such as "step".
         alike: whether parts take about as long as each other: the quickest then counts, and else the mean of more.
-        expected: parts in all and the time of each [s] by experience, said at once where it is long; (0, 0): unknown.
-        whole: what all parts are, as the beginning of the sentence; by default their number.
         clock: the time [s].
     """
 
@@ -109,19 +84,10 @@ class Estimate:
         say: Callable[[str], None],
         part: str,
         alike: bool = True,
-        expected: tuple[int, float] = (0, 0.0),
-        whole: str = "",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        total, pace = expected
-        self._expected = pace if total * pace > _LONG else None
-        if self._expected:
-            say(
-                f"{whole or f'{total} {part}s'} take about {format_duration(total * pace)} by experience, at the speed "
-                "of this machine; measured again after the first ones."
-            )
         self._say, self._part, self._alike, self._clock = say, part, alike, clock
-        self._began, self._said = clock(), total * pace if self._expected else 0.0
+        self._began, self._said = clock(), 0.0
         self._first: tuple[float, int] | None = None
         self._last, self._paces = (0.0, 0), list[float]()
         self._each: float | None = None
@@ -152,10 +118,9 @@ class Estimate:
             return
         self._each = each
         left = each * (total - done)
-        is_expected = not again and self._expected and self._expected / _NEAR < each < self._expected * _NEAR
         # What was said may have been too much before, and still hold.
         whole = now - self._began + left
-        if left > _LONG and not is_expected and (not again or whole > self._said):
+        if left > _LONG and (not again or whole > self._said):
             self._said = whole
             self._say(
                 f"{'Slower than at first: ' if again else ''}{total - done} more {self._part}s take about "
@@ -181,8 +146,6 @@ def announced(
     part: str,
     say: Callable[[str], None],
     alike: bool = True,
-    expected: tuple[int, float] = (0, 0.0),
-    whole: str = "",
 ) -> Iterator[Progress]:
     """A bar with the time left, and of work of over a minute a sentence that says how long it takes.
 
@@ -191,10 +154,8 @@ def announced(
         part: what a part of it is called, such as "step".
         say: called with the sentence.
         alike: whether parts take about as long as each other.
-        expected: parts in all and the time of each [s], as `Estimate` takes it.
-        whole: what all parts are, as `Estimate` takes it.
     """
-    estimate = Estimate(say, part, alike, expected, whole)
+    estimate = Estimate(say, part, alike)
     with progress_bar(label) as bar:
 
         def told(done: int, total: int) -> None:

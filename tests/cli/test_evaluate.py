@@ -36,12 +36,12 @@ def test_killed_in_mid_run_it_goes_on_where_it_was(pb4u: Callable, tmp_path: Pat
     process.wait()
     before = results_in(out)
     assert 1 <= len(before) < 4
-    assert not (out / "report.html").exists()
+    assert not (out / "tables.md").exists()
 
     ended = pb4u(*call, "--plots", tmp_path / "plots", "--json", tmp_path / "r.json")
     assert ended.code == 0, ended.err
     assert f"4 rollouts, {len(before)} done before, {4 - len(before)} to do." in ended.err
-    assert ended.out == f"Report: {out / 'report.html'}\n"
+    assert ended.out == f"Report: {out / 'tables.md'}\n"
     assert before.items() <= results_in(out).items()
     results = json.loads((tmp_path / "r.json").read_text())
     assert results == json.loads((out / "results.json").read_text())
@@ -90,7 +90,7 @@ def test_failed_rollouts_end_with_1_and_their_sentence(pb4u: Callable, tmp_path:
         in ended.err
     )
     assert "Traceback" not in ended.err
-    assert (tmp_path / "run" / "report.html").exists()
+    assert (tmp_path / "run" / "tables.md").exists()
 
 
 def test_plots_may_stay_where_they_are_and_a_file_is_no_folder(pb4u: Callable, tmp_path: Path) -> None:

@@ -82,18 +82,6 @@ def stopped(*_: object) -> None:
     raise InputError("No step is taken here.")
 
 
-def test_the_time_of_a_long_run_is_said_before_its_first_step(
-    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(run_simulation, "roll_out", stopped)
-    monkeypatch.setattr("pb4u.cli.simulate.slowness", lambda: 1.0)
-    flags = ("simulate", *SMALL, "--lead-in", 30, "--out", tmp_path / "a.npz", "--model")
-    said = pb4u(*flags, "solver", "--frames", 1000).err
-    assert "30 frames of lead-in (--lead-in) and 1000 to write take about" in said
-    assert "take about" not in pb4u(*flags, "skinning", "--frames", 1000).err
-    assert "take about" not in pb4u(*flags, "solver", "--frames", 10).err
-
-
 def test_json_alone_goes_to_standard_output(pb4u: Callable, tmp_path: Path) -> None:
     ended = pb4u("simulate", *SMALL, "--frames", 1, "--out", tmp_path / "a.npz", "--json", "-")
     assert json.loads(ended.out)["frames"] == 1

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 from tests.paper.test_protocol_plan import SMALL
 
-from pb4u.paper.page import Plot, Remark, Table, as_html, as_markdown
+from pb4u.paper.page import Plot, Remark, Table, as_markdown
 from pb4u.paper.plots import across_levels
 from pb4u.paper.protocol_plan import plan
 from pb4u.paper.summary import Row, Spread, Summary, spread, wilson
@@ -59,7 +60,7 @@ def test_levels_and_the_papers_rows_stand_together() -> None:
     assert ours[:5] == ["12K", "skinning", "2.00e+00 ± 1.00e+00", "6.0 ± 1.0", "3"]
     assert ours[5:] == ["67 ± 33", "2 ± 0", "1 of 2 (9 to 91 %)", "2, 1 missing"]
     assert theirs[0] == ["12K", "MGN (paper, other data)", "-4.22e-01", "46.4", "", "", "", "", ""]
-    assert table.their_rows == frozenset(range(1, 6))
+    assert len(theirs) == 5
 
 
 def test_terms_stand_in_rows_and_the_papers_models_in_columns_set_apart() -> None:
@@ -68,7 +69,7 @@ def test_terms_stand_in_rows_and_the_papers_models_in_columns_set_apart() -> Non
     assert isinstance(known, Table)
     assert isinstance(unknown, Table)
     assert list(known.head[:3]) == ["", "skinning", "MGN (paper, other data)"]
-    assert known.their_columns == frozenset(range(2, 7))
+    assert len(known.head) == 7
     assert unknown.head == ["", "skinning"]
     rows = {row[0]: row[1] for row in known.rows}
     assert rows["total loss [J]"] == "-"
@@ -134,14 +135,9 @@ def test_one_level_has_no_course_over_levels() -> None:
     assert across_levels(summary_of({("11K", "walk"): result(1.0)}, levels=("11K",))) == []
 
 
-@pytest.mark.parametrize("write", [as_html, as_markdown])
-def test_names_cannot_break_the_page(write: Any) -> None:
-    table = Table("<b>", "a < b", ["", "<script>"], [["x|y", "1"]], their_columns=frozenset({1}))
-    page = write("<title>", [table, Remark("", ["<i>"]), Plot("p", "P", "c", b"png")])
-    if write is as_html:
-        assert "<script>" not in page
-        assert '<th class="theirs">&lt;script&gt;</th>' in page
-        assert "data:image/png;base64,cG5n" in page
-    else:
-        assert "| x\\|y | 1 |" in page
-        assert "![P](plots/p.png)" in page
+def test_names_cannot_break_a_table() -> None:
+    page = as_markdown(
+        "title", [Table("b", "a < b", ["", "m"], [["x|y", "1"]]), Remark("", ["i"]), Plot("p", "P", "c", Figure())]
+    )
+    assert "| x\\|y | 1 |" in page
+    assert "![P](plots/p.png)" in page

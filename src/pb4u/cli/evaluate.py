@@ -33,7 +33,7 @@ def evaluate(
         str | None, typer.Option(metavar="FILE|-", help="Also write results.json there; '-' is standard output.")
     ] = None,
 ) -> None:
-    """Run a protocol of the paper: tables, plots and one page, beside the paper's own figures.
+    """Run a protocol of the paper: tables and plots, beside the paper's own figures.
 
     A command that was killed at any instant goes on where it stopped when it is given again. Other flags with the same
     --out narrow or extend it. The resolution protocol without flags is 512 rollouts, most of a day on two cores.\f
@@ -44,7 +44,7 @@ def evaluate(
         InputError: a number is out of range, or something is unknown or unusable.
     """
     from pb4u.paper.evaluation import evaluate as run
-    from pb4u.paper.report import PAGE, PLOTS
+    from pb4u.paper.report import PLOTS, TABLES
 
     check_json_target(json)
     asked = EvaluationRequest(**given_values(EvaluationRequest, request))
@@ -57,7 +57,7 @@ def evaluate(
     folder = out or Path(f"evaluate_{asked.protocol}")
     progress = partial(announced, part="rollout", say=say, alike=False)
     results = run(asked, folder, pool, retry, say=say, progress=progress)
-    tell(results, json, f"Report: {folder / PAGE}")
+    tell(results, json, f"Report: {folder / TABLES}")
     if plots is not None and not is_same_file(plots, folder / PLOTS):
         plots.mkdir(parents=True, exist_ok=True)
         for picture in (folder / PLOTS).iterdir():

@@ -17,7 +17,7 @@ from pb4u.cli.run_flags import run_flags, run_of
 from pb4u.errors import InputError, Interrupted, Pb4uError, warn
 from pb4u.export.registry import check_bones, check_target, export, is_drawn
 from pb4u.io.atomic_file import check_writable
-from pb4u.progress import announced, progress_bar, slowness
+from pb4u.progress import announced, progress_bar
 from pb4u.run import Run
 
 if TYPE_CHECKING:
@@ -28,13 +28,6 @@ if TYPE_CHECKING:
     from pb4u.scene.scene import Scene
     from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
     from pb4u.simulation.simulator import RunRecord, Simulator
-
-_PACES = {"skinning": 0.0, "quick-solver": 3e-5}
-"""Seconds a step and triangle where cloth is easy, one core (docs/performance.md); of all others `_PACE`."""
-_PACE = 1e-4
-
-_WORTH_MEASURING = 5.0
-"""Seconds by experience from which the speed of the machine is measured."""
 
 
 @with_flags(flags=run_flags(), outputs=OUTPUT_FLAGS, picture=PICTURE_FLAGS)
@@ -219,11 +212,8 @@ def _trajectory(
 
     count = sum(dressed.garment.triangle_count for dressed in scene.garments)
     with ExitStack() as opened:
-        each = count * _PACES.get(simulator.name, _PACE)
-        expected = scene.total_frames, each * (slowness() if each * scene.total_frames > _WORTH_MEASURING else 1.0)
         label = f"{count:,} triangles, {simulator.name}"
-        lead_in = f"{scene.lead_in} frames of lead-in (--lead-in) and {scene.frames} to write" if scene.lead_in else ""
-        told = opened.enter_context(announced(label, "step", say, expected=expected, whole=lead_in))
+        told = opened.enter_context(announced(label, "step", say))
         header = simulator.header(scene)
         if file is not None and file.exists():
             _say_what_is_replaced(file, header, frame_count(run, scene))

@@ -1,4 +1,4 @@
-"""Polygons cut into triangles."""
+"""Polygons cut into triangles; decision 3 says why by ears of our own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report of a run: results.json, tables, plots, and one page with all of them."""
+"""The report of a run: results.json, plots, and a page of tables that shows them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pb4u import __version__
 from pb4u.io.atomic_file import json_text
 from pb4u.jobs.job_folder import FOLDER_VERSION, JobFolder
 from pb4u.paper.evaluation_request import EvaluationRequest
-from pb4u.paper.page import Block, Plot, Remark, as_html, as_markdown
+from pb4u.paper.page import Block, Plot, Remark, as_markdown
 from pb4u.paper.paper_figures import PAPER
 from pb4u.paper.pictures import picture_grid
 from pb4u.paper.plots import across_levels, against_steps, over_time
@@ -22,7 +22,7 @@ from pb4u.paper.robustness import failure_pictures, failure_table, parts_tables,
 from pb4u.paper.summary import Summary, summarise
 from pb4u.paper.tables import controls_tables, level_table, terms_tables
 
-RESULTS, TABLES, PLOTS, PAGE = "results.json", "tables.md", "plots", "report.html"
+RESULTS, TABLES, PLOTS = "results.json", "tables.md", "plots"
 
 View = Callable[[Summary], list[Block]]
 """Draws tables or plots of a run; none where the run has nothing for them."""
@@ -48,7 +48,7 @@ VIEWS: dict[str, tuple[View, ...]] = {
 
 
 def write_report(planned: Plan, folder: JobFolder, request: EvaluationRequest) -> dict[str, Any]:
-    """Write results.json, the tables, the plots and the page of what is done.
+    """Write results.json, the plots and the page of tables of what is done.
 
     Args:
         planned: what the run consists of.
@@ -62,14 +62,12 @@ def write_report(planned: Plan, folder: JobFolder, request: EvaluationRequest) -
     protocol = planned.protocol
     views = (*VIEWS[protocol.name], *([picture_grid] if protocol.pictured else []))
     blocks = [_about(summary), *(block for view in views for block in view(summary)), *_remarks(summary)]
-    title = f"pb4u evaluation: {protocol.name}"
     shutil.rmtree(folder.path / PLOTS, ignore_errors=True)
     (folder.path / PLOTS).mkdir()
     for block in blocks:
         if isinstance(block, Plot):
             folder.write(f"{PLOTS}/{block.name}.png", block.png)
-    folder.write(TABLES, as_markdown(title, blocks).encode())
-    folder.write(PAGE, as_html(title, blocks).encode())
+    folder.write(TABLES, as_markdown(f"pb4u evaluation: {protocol.name}", blocks).encode())
     text = json_text(
         {
             "protocol": protocol.name,

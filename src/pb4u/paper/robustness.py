@@ -7,12 +7,11 @@ import statistics
 from collections.abc import Callable, Iterable
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from pb4u.errors import Pb4uError
 from pb4u.measures.divergence import SLID, SLID_FRAMES
-from pb4u.paper.page import Block, Plot, Remark, Table, png
-from pb4u.paper.pictures import draw_still
+from pb4u.paper.page import Block, Plot, Remark, Table
+from pb4u.paper.pictures import draw_still, sheet
 from pb4u.paper.summary import FAR_FROM_FLOOR, MOST_INSIDE, Row, Summary, share_text
 
 MOST_PICTURES = 24
@@ -126,26 +125,18 @@ def failure_pictures(summary: Summary) -> list[Block]:
     """
     title = "Failures, each in its worst frame"
     failed = [row for row in summary.rows if row.faults and row.result]
-    shown: list[tuple[Row, np.ndarray]] = []
+    shown: list[tuple[np.ndarray | None, str]] = []
     try:
         for row in failed[:MOST_PICTURES]:
             picture = draw_still(summary.still(row.case.job), frame=-1)
             if picture is not None:
-                shown.append((row, picture))
+                shown.append((picture, f"{row.case.number}: {row.model}\n{row.faults[0]}"))
     except Pb4uError as error:
         return [Remark(title, (str(error),))]
     if not shown:
         return []
-    lines = math.ceil(len(shown) / _COLUMNS)
-    figure = Figure(figsize=(2.2 * _COLUMNS, 3.5 * lines), layout="constrained")
-    panels = figure.subplots(lines, _COLUMNS, squeeze=False).ravel()
-    for axis in panels:
-        axis.set_axis_off()
-    for axis, (row, picture) in zip(panels, shown, strict=False):
-        axis.imshow(picture)
-        axis.set_title(f"{row.case.number}: {row.model}\n{row.faults[0]}", fontsize=7)
     left = f" {len(failed) - MOST_PICTURES} more are named above alone." if len(failed) > MOST_PICTURES else ""
-    return [Plot("failures", title, f"Number of the scene, model, and what went wrong.{left}", png(figure, 110))]
+    return [Plot("failures", title, f"Number of the scene, model, and what went wrong.{left}", sheet(shown, _COLUMNS))]
 
 
 def _scene_words(row: Row) -> str:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import statistics
+from collections.abc import Sequence
 from typing import Any
 
 from pb4u.paper.page import Block, Table
 from pb4u.paper.paper_figures import paper_figures
-from pb4u.paper.summary import Cell, Row, Spread, Summary, quantity_named, share_text
+from pb4u.paper.summary import Row, Spread, Summary, quantity_named, share_text
 
 PAPER_MARK = "paper, other data"
 
@@ -55,11 +56,6 @@ def label(quantity: str) -> str:
     return f"{title} [{unit}]" if unit else title
 
 
-def _counts(cell: Cell) -> tuple[str, str]:
-    missing = f", {cell.scenes - cell.done} missing" if cell.done < cell.scenes else ""
-    return share_text(cell.diverged, cell.done), f"{cell.done}{missing}"
-
-
 def caveats(quantity: str, rows: list[Row]) -> str:
     """What of some rollouts a quantity is infinite for, or leaves out, in brackets; "" where it is nothing.
 
@@ -79,6 +75,24 @@ def caveats(quantity: str, rows: list[Row]) -> str:
     return f" ({', '.join(told)})" if told else ""
 
 
+_BESIDE = ("ratio", "survived_percent", "strain_p95", "penetration_percent", "visible_skin_percent")
+_COUNTS = ("diverged", "scenes")
+
+
+def _columns(summary: Summary, level: str, quantities: Sequence[str]) -> dict[str, list[str]]:
+    """Texts of the quantities and counts of each model at a level, the paper's models after the run's own."""
+    columns = {}
+    for name, (model, steps) in summary.columns.items():
+        cell, rows = summary.cell(level, model, steps), summary.select(level=level, model=model, steps=steps)
+        values = [with_spread(each, cell.quantities[each]) + caveats(each, rows) for each in quantities]
+        missing = f", {cell.scenes - cell.done} missing" if cell.done < cell.scenes else ""
+        columns[name] = [*values, share_text(cell.diverged, cell.done), f"{cell.done}{missing}"]
+    for model, theirs in paper_figures(summary.plan.protocol.name, level).items():
+        values = [number(each, theirs[each]) if each in theirs else "" for each in quantities]
+        columns[f"{model} ({PAPER_MARK})"] = [*values, *[""] * len(_COUNTS)]
+    return columns
+
+
 def terms_tables(summary: Summary) -> list[Block]:
     """Tables, one a level: the energies and what they leave out, a column a model, the paper's columns beside them.
 
@@ -86,38 +100,17 @@ def terms_tables(summary: Summary) -> list[Block]:
         summary: the run.
     """
     protocol = summary.plan.protocol
+    ranked = ("excess_height", "distance_to_reference") if protocol.excess else ()
+    shown = (*summary.energies, *ranked, *_BESIDE)
     tables: list[Block] = []
     for level in protocol.levels:
-        cells = [summary.cell(level, *column) for column in summary.columns.values()]
-        paper = paper_figures(protocol.name, level)
-        rows = [
-            [
-                label(quantity),
-                *(
-                    with_spread(quantity, cell.quantities[quantity])
-                    + caveats(quantity, summary.select(level=level, model=cell.model, steps=cell.steps))
-                    for cell in cells
-                ),
-                *(number(quantity, theirs[quantity]) if quantity in theirs else "" for theirs in paper.values()),
-            ]
-            for quantity in (
-                *summary.energies,
-                *(("excess_height", "distance_to_reference") if protocol.excess else ()),
-                "ratio",
-                "survived_percent",
-                "strain_p95",
-                "penetration_percent",
-                "visible_skin_percent",
-            )
-        ]
-        blank = [""] * len(paper)
-        deepest = ["-" if cell.deepest is None else f"{1e3 * cell.deepest:.1f}" for cell in cells]
-        rows.append(["deepest penetration [mm]", *deepest, *blank])
-        rows.append(["diverged", *(_counts(cell)[0] for cell in cells), *blank])
-        rows.append(["scenes", *(_counts(cell)[1] for cell in cells), *blank])
-        head = ["", *summary.columns, *(f"{name} ({PAPER_MARK})" for name in paper)]
-        theirs = frozenset(range(1 + len(cells), len(head)))
-        tables.append(Table(f"Level {level}", "" if tables else _NOTE, head, rows, their_columns=theirs))
+        columns = _columns(summary, level, shown)
+        deepest = [summary.cell(level, *column).deepest for column in summary.columns.values()]
+        depths = ["-" if depth is None else f"{1e3 * depth:.1f}" for depth in deepest]
+        rows = [list(row) for row in zip([*map(label, shown), *_COUNTS], *columns.values(), strict=True)]
+        blank = [""] * (len(columns) - len(depths))
+        rows.insert(len(shown), ["deepest penetration [mm]", *depths, *blank])
+        tables.append(Table(f"Level {level}", "" if tables else _NOTE, ["", *columns], rows))
     return tables
 
 
@@ -128,21 +121,13 @@ def level_table(summary: Summary, quantities: tuple[str, ...]) -> list[Block]:
         summary: the run.
         quantities: columns that the paper has too.
     """
-    steps = any(cell.steps is not None for cell in summary.cells())
-    rows: list[list[str]] = []
-    theirs: list[int] = []
     shown = (*quantities, "ratio", "survived_percent", "penetration_percent")
-    for level in summary.plan.protocol.levels:
-        for cell in (cell for cell in summary.cells() if cell.level == level):
-            values = [with_spread(quantity, cell.quantities[quantity]) for quantity in shown]
-            own = ["-" if cell.steps is None else str(cell.steps)] if steps else []
-            rows.append([level, cell.model, *own, *values, *_counts(cell)])
-        for model, figures in paper_figures(summary.plan.protocol.name, level).items():
-            theirs.append(len(rows))
-            values = [number(quantity, figures[quantity]) if quantity in figures else "" for quantity in shown]
-            rows.append([level, f"{model} ({PAPER_MARK})", *([""] if steps else []), *values, "", ""])
-    head = ["level", "model", *(["K"] if steps else []), *map(label, shown), "diverged", "scenes"]
-    return [Table("By level", _NOTE, head, rows, their_rows=frozenset(theirs), words=2)]
+    rows = [
+        [level, name, *texts]
+        for level in summary.plan.protocol.levels
+        for name, texts in _columns(summary, level, shown).items()
+    ]
+    return [Table("By level", _NOTE, ["level", "model", *map(label, shown), *_COUNTS], rows, words=2)]
 
 
 _CONTROLS_NOTE = (
