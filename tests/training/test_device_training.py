@@ -16,6 +16,7 @@ from pb4u.errors import InputError
 from pb4u.paper.network_presets import pb4u_small_conjugate
 from pb4u.physics.contact.contact_set import ContactPlanes
 from pb4u.physics.step_potential import Energies
+from pb4u.physics.time_step import TimeStep
 from pb4u.training.budget import Budget
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.distribution import Workers
@@ -49,6 +50,7 @@ def in_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
     """No compiled kernels, as on an accelerator."""
     for user in ("interaction_block", "mlp", "propagation"):
         monkeypatch.setattr(f"pb4u.network.{user}.are_compiled", lambda *given: False)
+    monkeypatch.setattr(TimeStep, "is_on_a_processor", False)
 
 
 def test_a_step_of_training_neither_reads_back_nor_copies(in_tensors: None, monkeypatch: pytest.MonkeyPatch) -> None:
