@@ -92,6 +92,22 @@ def test_chords_that_dip_into_the_skin_are_moved_out_where_the_author_s_mesh_is(
     assert np.linalg.norm(worn.vertices - coarse.vertices, axis=1).max() < 0.01
 
 
+@pytest.mark.parametrize("triangles", [None, 1200])
+@pytest.mark.filterwarnings("ignore::pb4u.errors.InputWarning")
+def test_parts_of_other_materials_stay_until_one_is_given_for_all(
+    triangles: int | None, woman: ShapedBody, leggings: Garment
+) -> None:
+    def upper(garment: Garment) -> np.ndarray:
+        return garment.vertices[garment.faces].mean(axis=1)[:, 1] > 0.8
+
+    parted = leggings.with_part(MATERIALS["denim"], upper(leggings))
+    worn = load_garment(WornGarment(parted, triangles=triangles), woman)
+    assert worn.materials == (CLOTH, MATERIALS["denim"])
+    assert ((worn.face_material == 1) == upper(worn)).mean() > 0.97
+    given = load_garment(WornGarment(parted, material="silk", triangles=triangles), woman)
+    assert (given.material, given.materials) == (MATERIALS["silk"], ())
+
+
 @pytest.mark.parametrize("source", ["mesh", "dictionary"])
 def test_what_comes_from_a_file_without_pins_is_held_by_its_waistband(
     source: str, woman: ShapedBody, leggings: Garment, tmp_path: Path

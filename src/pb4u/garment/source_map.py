@@ -15,7 +15,7 @@ from pb4u.geometry.mesh_file import PolygonMesh
 
 
 def remeshed(garment: Garment, triangles: int | None) -> Garment:
-    """The garment with about `triangles` triangles: its pins, skinning and author's mesh are found again on them.
+    """The garment with about `triangles` triangles; its parts, pins, skinning and author's mesh are found again.
 
     UVs and images stay with the author's mesh, to which exports go back.
 
@@ -44,10 +44,14 @@ def remeshed(garment: Garment, triangles: int | None) -> Garment:
     if skinning is not None:
         triangle, barycentric = nearest_places(vertices, garment.vertices, garment.faces)
         skinning = skinning.at(garment.faces[triangle], barycentric)
+    parts = garment.face_material
+    if parts is not None:
+        parts = parts[nearest_places(vertices[faces].mean(axis=1), garment.vertices, garment.faces)[0]]
     author = garment.mesh if garment.source is None else garment.source.source
     other = replace(
         garment, vertices=vertices, faces=faces, pinned=np.zeros(len(vertices), dtype=bool), uvs=None, uv_faces=None,
         appearances=None, source=map_of(author), coarse_edges=(), skinning=skinning,
+        face_material=parts,
     )  # fmt: skip
     if not garment.pinned.any():
         return other

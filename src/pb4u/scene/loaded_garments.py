@@ -1,12 +1,12 @@
 """The garments of a run. Whatever a garment comes from, it goes through the same stages in the same order:
 
-1. **Read**: its mesh, in the material of the run. UVs, images, names of panels, grain (`rest_uv`),
-   pins and skinning are those of its source. Built-in garments and patterns are made here, on the body that wears them
-   and with as many triangles as are asked for.
+1. **Read**: its mesh, in the material of the run. Parts of other materials, grain (`rest_uv`), names of panels, UVs,
+   images, pins and skinning are those of its source, and come from nowhere else. Built-in garments and patterns are
+   made here, on the body that wears them and with as many triangles as are asked for.
 2. **Place**: a garment that stands around the own origin of a body's model is moved to where that body stands. Other
    units, axes and places are refused, here or in the check.
-3. **Remesh**: pins, skinning and the map to the author's mesh are found again on other triangles. What has a grain is
-   refused: its triangles are those of flat panels.
+3. **Remesh**: parts, pins, skinning and the map to the author's mesh are found again on other triangles. What has a
+   grain is refused: its triangles are those of flat panels.
 4. **Tack**: vertices are sewn together. The triangles keep their shapes at rest, which no remeshing could keep.
 5. **Hold**: the pins that are asked for; else its own; else the straps, waistband or collar that are found.
 6. **Check**: what the body does not wear is refused or told of, and limbs that go through the cloth go inside it.
@@ -171,7 +171,7 @@ def _object(worn: WornGarment, body: Body, material: Material) -> Garment:
             f"{loose[:5].tolist()}; no cloth would carry them, so leave them out."
         )
     require_near(garment, body)
-    return garment.with_material(material)
+    return garment if worn.material is None else garment.with_material(material)
 
 
 KINDS = {
@@ -185,7 +185,7 @@ KINDS = {
 
 
 def read(worn: WornGarment, body: Body) -> Garment:
-    """A garment as its source gives it, in the material of the run, else in its own, else in the default one.
+    """A garment as its source gives it, in the material of the run; else in its own, or in the default one.
 
     Args:
         worn: which garment.
@@ -194,9 +194,7 @@ def read(worn: WornGarment, body: Body) -> Garment:
     Raises:
         InputError: it cannot be read, or is not for this body.
     """
-    material = worn.material
-    if material is None:
-        material = worn.garment.material if isinstance(worn.garment, Garment) else DEFAULT_MATERIAL
+    material = DEFAULT_MATERIAL if worn.material is None else worn.material
     if not isinstance(material, str | Path | Material):
         raise InputError(f"The material must be a name, a path or a Material, not {material!r}.")
     cloth = material if isinstance(material, Material) else load_material(material)
