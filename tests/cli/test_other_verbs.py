@@ -271,6 +271,12 @@ def test_check_says_that_it_leaves_the_triangles_of_a_file(pb4u: Callable, tmp_p
     assert "--triangles" not in pb4u("check", "tshirt", "--triangles", 500).err
 
 
+def test_check_refuses_a_built_in_garment_on_a_body_without_bones(pb4u: Callable, tmp_path: Path) -> None:
+    ended = pb4u("check", "skirt", "--body", saved(tmp_path, triangle_tube()))
+    assert ended.code == 1
+    assert "are cut from a body with bones; tube is a sequence of vertices" in ended.err
+
+
 def test_check_says_once_that_a_body_is_open(pb4u: Callable, tmp_path: Path) -> None:
     cap = trimesh.creation.capsule(1.0, 0.2)
     vertices = cap.vertices[:, [0, 2, 1]] * [1.0, 1.0, -1.0] + [0.0, 0.2, 0.0]

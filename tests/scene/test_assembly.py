@@ -17,7 +17,6 @@ from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.collision.crossings import self_crossings
 from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputError, InputWarning
-from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import read_garment
 from pb4u.garment.library import build_garment
@@ -197,19 +196,3 @@ def test_a_sequence_tells_of_a_loaded_motion_that_it_does_not_perform(woman: Sha
     with pytest.warns(InputWarning, match="the motion dance is not used"):
         scene = make_scene(garment, body, load_motion("dance"), lead_in=0)
     assert (scene.frames, scene.labels["motion"]) == (3, "moving")
-
-
-def test_a_mesh_made_coarser_stays_outside_the_body_where_its_author_s_is(woman: ShapedBody, tmp_path: Path) -> None:
-    body, loose = RestBody.of(woman), build_garment("trousers", woman, 1600)
-    skin = body.surface.nearest(loose.vertices)
-    tight = skin.positions.numpy() + 1.5e-3 * skin.normals.numpy()
-    file = saved(tmp_path, PolygonMesh(tight, tuple(loose.faces)), "leggings.obj")
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        read = read_garment(file, MATERIALS["silk"], triangles=1200)
-        worn = make_scene(file, woman, triangles=1200, frames=1, lead_in=0, pins="waist").garments[0].garment
-    assert (body.signed_distances(tight) > 0.0).all()
-    assert (body.signed_distances(read.vertices) < 0.0).any()
-    assert (body.signed_distances(worn.vertices) > 0.0).all()
-    assert np.linalg.norm(worn.vertices - read.vertices, axis=1).max() < 0.01
-    assert not [each for each in told if "inside the body" in str(each.message)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +18,7 @@ from pb4u.cli.console import (
     keep_inputs,
     write_json,
 )
-from pb4u.errors import InputError, InputWarning, Pb4uError, unknown_name, warn
+from pb4u.errors import InputError, InputWarning, Pb4uError, warn
 from pb4u.io.atomic_file import check_writable
 
 
@@ -120,9 +119,9 @@ def _named_garments(
 
 
 def _warn_of_triangles(names: list[str]) -> None:
-    from pb4u.garment.library import garment_names
+    from pb4u.scene.loaded_garments import kind_of
 
-    if not all(name in garment_names() or _is_sewn(name) for name in names):
+    if not all(kind_of(name).is_fitted for name in names):
         warn(
             "--triangles is for a built-in garment or a pattern and is not used here; a mesh is checked as it is, and "
             "`pb4u simulate --triangles` remeshes it.",
@@ -132,16 +131,13 @@ def _warn_of_triangles(names: list[str]) -> None:
 def _check_outfit(names: list[str], figure: Any, body: str, triangles: int | None) -> dict[str, Any]:
     """Findings of each garment, and where they cross, as made and as worn over each other."""
     from pb4u.garment.fit import RestBody
-    from pb4u.garment.garment_file import read_garment
-    from pb4u.garment.material import MATERIALS
     from pb4u.garment.tangles import OutfitCrossings
 
     found = [_check_garment(name, figure, body, triangles, None) for name in names]
     if any(each["refused"] for each in found):
         # What is in other units or far away crosses nothing yet.
         return {"garments": found, "crossings": {"as_made": [], "as_worn": []}}
-    garments = [_made(name, figure, triangles) or read_garment(Path(name), MATERIALS["default"]) for name in names]
-    crossings = OutfitCrossings.of(garments, RestBody.of(figure))
+    crossings = OutfitCrossings.of([_placed(name, figure, triangles) for name in names], RestBody.of(figure))
     told = {
         when: [tangle.to_json() | {"sentence": str(tangle)} for tangle in getattr(crossings, when)]
         for when in ("as_made", "as_worn")
@@ -149,40 +145,24 @@ def _check_outfit(names: list[str], figure: Any, body: str, triangles: int | Non
     return {"garments": found, "crossings": told}
 
 
-def _made(name: str, figure: Any, triangles: int | None) -> Any:
-    """A built-in garment, a dressed pattern, or one of a dictionary at the body's height; None for a mesh file."""
-    from pb4u.compat.garment_dictionary import read_dictionary_garment
-    from pb4u.garment.dictionary_entry import DictionaryEntry
-    from pb4u.garment.library import build_garment, garment_names
-    from pb4u.garment.material import MATERIALS
-    from pb4u.pattern.files import load_worn
+def _placed(name: str, figure: Any, triangles: int | None) -> Any:
+    """A garment as it is read for the body, where the body stands."""
+    from pb4u.run import WornGarment
+    from pb4u.scene.loaded_garments import kind_of, place, read
 
-    if name in garment_names():
-        return build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
-    if _is_sewn(name):
-        return load_worn(name, figure, MATERIALS["default"], triangles)
-    entry = DictionaryEntry.parse(name)
-    if entry is None:
-        return None
-    garment = read_dictionary_garment(entry, MATERIALS["default"])
-    raised = garment.vertices.copy()
-    raised[:, 1] += getattr(figure, "lift", 0.0)
-    return replace(garment, vertices=raised)
+    return place(read(WornGarment(name, triangles=triangles), figure), figure, kind_of(name))
 
 
-def _is_sewn(name: str) -> bool:
-    from pb4u.garment.library import SEWN
+def _is_mesh(name: str) -> bool:
+    from pb4u.scene.loaded_garments import KINDS, kind_of
 
-    return Path(name).suffix.lower() in SEWN
+    return kind_of(name) is KINDS["mesh"]
 
 
 def _check_fix(fix: Path, given: str | None) -> None:
-    from pb4u.garment.dictionary_entry import DictionaryEntry
-    from pb4u.garment.library import garment_names
-
     if fix.suffix.lower() != ".obj":
         raise InputError(f"--fix writes an .obj; {fix} ends otherwise.")
-    if given is None or given in garment_names() or DictionaryEntry.parse(given) or _is_sewn(given):
+    if given is None or not _is_mesh(given):
         raise InputError("--fix mends a garment from a mesh file; give that file.")
     check_writable(fix, "--fix")
 
@@ -191,16 +171,13 @@ def _check_garment(name: str, figure: Any, body: str, triangles: int | None, fix
     """Findings of a garment, what was mended, and findings of the mended garment."""
     from pb4u.garment.diagnosis import diagnose
     from pb4u.garment.garment_file import read_source
-    from pb4u.garment.library import garment_names
     from pb4u.garment.repair import repair
     from pb4u.geometry.obj_file import left_out, write_obj
 
     unmended: dict[str, Any] = {"mended": [], "left": [], "remaining": None}
-    made = _made(name, figure, triangles)
-    if made is not None:
+    if not _is_mesh(name):
+        made = _placed(name, figure, triangles)
         return {"name": name, **diagnose(made, figure, name, body).to_json(), **unmended}
-    if not Path(name).suffix:
-        raise unknown_name("garment", name, garment_names())
     source = read_source(Path(name))
     found = {"name": name, **diagnose(source, figure, name, body).to_json(), **unmended}
     if fix is not None:

@@ -9,7 +9,7 @@ from torch import Tensor
 from pb4u.body.body_model import PosedBody
 from pb4u.body.skinning import SkinnedSurface
 from pb4u.garment.dressing import Placement
-from pb4u.garment.garment import Garment, GarmentSkinning
+from pb4u.garment.garment import Garment
 
 
 class CorrectedPlacement(Placement):
@@ -18,7 +18,7 @@ class CorrectedPlacement(Placement):
     Source: the released code of the family (SMPL's formula on a garment's vertices).
 
     Args:
-        garment: with `skinning` that fits the body's bones.
+        garment: one that `is_skinned_for` the body.
         body: the posed body; its shape parameters beta0, beta1, .. shape the garment too.
     """
 
@@ -30,20 +30,6 @@ class CorrectedPlacement(Placement):
         self.body = body
         self._pose_directions = own.pose_directions.astype(np.float32)
         self._surface = SkinnedSurface(rest, own.weights, shaped.skeleton.bone_count)
-
-    @staticmethod
-    def fits(skinning: GarmentSkinning | None, body: object) -> bool:
-        """Whether a body has the bones that a garment's skinning names.
-
-        Args:
-            skinning: weights of the garment; None where it has none.
-            body: any kind of body.
-        """
-        return (
-            skinning is not None
-            and isinstance(body, PosedBody)
-            and body.body.skeleton.bone_count == skinning.bone_count
-        )
 
     def positions(self, start: int, stop: int) -> Tensor:
         """Garment vertices (stop - start, vertices, 3) float32 [m]; see `Placement`.

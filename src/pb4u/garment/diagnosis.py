@@ -41,7 +41,7 @@ from pb4u.geometry.triangle_mesh import edge_lengths
 # garments made for a woman or a man, the right body has 13 to 23 mm and at most 0.65 of the wrong one's; loose ones
 # have over 0.8 on a body that they were not made for.
 _BADLY, _BETTER = 0.025, 0.75
-# Findings after which nothing is said of what holds the garment up.
+# Findings after which nothing is said of what holds the garment up, of limbs, and of how coarse it is.
 _NOT_WORN = ("far", "inside", "unsure")
 
 
@@ -123,14 +123,15 @@ def diagnose(
         findings += placement_findings(vertices, fit, rest, mend)
         findings += crossing_findings(surface, fit.apply(garment.vertices), measures)
         findings += contact_findings(surface, fit, rest, measures, mend)
-        if not pinned and not any(f.code in _NOT_WORN for f in findings):
-            support = find_support(fit.apply(garment.vertices), surface.faces, rest)
-            findings += support_findings(fit.apply(garment.vertices), surface.faces, rest, support)
-            held = support.name
-        if isinstance(body, ShapedBody) and not any(f.code in _NOT_WORN for f in findings):
-            findings += limb_findings(fit.apply(garment.vertices), surface.faces, body)
         if not any(f.code in _NOT_WORN for f in findings):
-            findings += coarse_findings(fit.apply(garment.vertices), surface.faces, rest)
+            where = fit.apply(garment.vertices), surface.faces
+            if not pinned:
+                support = find_support(*where, rest)
+                findings += support_findings(*where, rest, support)
+                held = support.name
+            if isinstance(body, ShapedBody):
+                findings += limb_findings(*where, body)
+            findings += coarse_findings(*where, rest)
         if is_file and isinstance(body, ShapedBody):
             findings += _better_body(garment.vertices, surface.faces, body, fit)
     elif len(vertices) and (unit := likely_unit(vertices)):
@@ -187,11 +188,7 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
         source = garment.source
         names = None if source is None else cKDTree(source.source.vertices).query(garment.vertices)[1]
         findings += support_findings(garment.vertices, garment.faces, rest, support, names)
-    for finding in findings:
-        if finding.severity is Severity.REFUSED:
-            raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
-    for finding in findings:
-        warn(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
+    _tell(garment, findings)
 
 
 def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
@@ -208,9 +205,7 @@ def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
         raise InputError(f"garment {garment.name} {unit}; give its vertices in metres.")
     rest = RestBody.of(body)
     inside = penetration_findings(rest.signed_distances(garment.vertices), rest, "")
-    for finding in (*far_finding(garment.vertices, rest), *inside):
-        if finding.severity is Severity.REFUSED:
-            raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
+    _tell(garment, [f for f in (*far_finding(garment.vertices, rest), *inside) if f.severity is Severity.REFUSED])
 
 
 def require_fine(garment: Garment, body: ShapedBody | AnimatedBody, *, accepted: bool = False) -> None:
@@ -224,7 +219,12 @@ def require_fine(garment: Garment, body: ShapedBody | AnimatedBody, *, accepted:
     Raises:
         InputError: its edges span too much of the way round the body.
     """
-    for finding in coarse_findings(garment.vertices, garment.faces, RestBody.of(body)):
+    _tell(garment, coarse_findings(garment.vertices, garment.faces, RestBody.of(body)), accepted)
+
+
+def _tell(garment: Garment, findings: list[Finding], accepted: bool = False) -> None:
+    """Refuse the garment for the first finding that is too grave, unless that is accepted; else warn of all."""
+    for finding in sorted(findings, key=lambda finding: finding.severity is not Severity.REFUSED):
         sentence = f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}."
         if finding.severity is Severity.REFUSED and not accepted:
             raise InputError(sentence)

@@ -7,6 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
+from pb4u.body.animated_body import AnimatedBody
+from pb4u.body.body_model import ShapedBody
 from pb4u.body.skinning import SkinningWeights, strongest_influences
 from pb4u.errors import InputError
 from pb4u.garment.material import Material
@@ -241,6 +243,15 @@ class Garment:
             return True
         kept = np.count_nonzero(self.source.barycentric.max(axis=1) == 1.0)
         return bool(kept >= len(self.vertices))
+
+    def is_skinned_for(self, body: ShapedBody | AnimatedBody) -> bool:
+        """Whether its own file says how this body wears it: its skinning names as many bones as the body has.
+
+        Args:
+            body: any body.
+        """
+        own = self.skinning
+        return own is not None and isinstance(body, ShapedBody) and body.skeleton.bone_count == own.bone_count
 
     @property
     def triangle_count(self) -> int:

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pb4u.body.built_in import DEFAULT_BODY
 from pb4u.body.library import body_names
-from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputError, unread_kind, warn
-from pb4u.garment.garment import Garment, SourceMap
+from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.garment.pins import resolve_pins
+from pb4u.garment.source_map import map_to_same, remeshed
 from pb4u.garment.source_surface import SourceSurface, surface_faults
 from pb4u.geometry.mesh_file import MOST_READ, READERS, PolygonMesh, read_mesh
 
@@ -41,10 +40,23 @@ def read_garment(
     Raises:
         InputError: the file cannot be used as it is; says how to mend it.
     """
+    garment = remeshed(authors_garment(path, material, MOST_SIMULATED if triangles is None else MOST_READ), triangles)
+    return garment if pins is None else garment.with_pins(resolve_pins(pins, garment))
+
+
+def authors_garment(path: str | Path, material: Material, most_triangles: int = MOST_SIMULATED) -> Garment:
+    """The garment in a mesh file with its author's vertices and faces; as `read_garment`.
+
+    Args:
+        path: the file.
+        material: its cloth.
+        most_triangles: number of triangles above which it is refused.
+
+    Raises:
+        InputError: the file cannot be used as it is; says how to mend it.
+    """
     path = Path(path)
-    if triangles is not None and triangles < 1:
-        raise InputError(f"The number of triangles must be 1 or more, not {triangles}.")
-    source = read_source(path, MOST_SIMULATED if triangles is None else MOST_READ)
+    source = read_source(path, most_triangles)
     surface = SourceSurface.of(source)
     _report_faults(path, surface)
     flip, _ = surface.flipped
@@ -54,55 +66,12 @@ def read_garment(
     simulated = np.unique(faces)
     vertices = source.vertices[simulated]
     faces = np.searchsorted(simulated, faces)
-    if triangles in (None, len(faces)):
-        uv_faces = None if source.polygon_uvs is None else np.concatenate(source.polygon_uvs)[corners]
-        looks = None if source.appearances is None else source.appearances.at(surface.polygon[surface.kept])
-        garment = Garment(path.stem, vertices, faces, material, uvs=source.uvs, uv_faces=uv_faces, appearances=looks)
-        garment = replace(garment, source=map_to_same(source, simulated, vertices, faces))
-    else:
-        assert triangles is not None
-        from pb4u.collision.remeshing import remesh
-
-        vertices, faces = remesh(vertices, faces, triangles)
-        source_map = SourceMap(source, *nearest_places(source.vertices, vertices, faces))
-        garment = Garment(path.stem, vertices, faces, material, source=source_map)
-    return garment if pins is None else garment.with_pins(resolve_pins(pins, garment))
-
-
-def map_to_same(source: PolygonMesh, simulated: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> SourceMap:
-    """Source map of a mesh that holds some vertices of its source, in order; others keep to it.
-
-    Args:
-        source: the author's mesh.
-        simulated: (vertices,) int64 vertices of the source that the mesh holds.
-        vertices: (vertices, 3) of the mesh [m].
-        faces: (faces, 3) int64 of the mesh.
-    """
-    triangle = np.zeros(len(source.vertices), dtype=np.int64)
-    barycentric = np.zeros((len(source.vertices), 3))
-    corner_of = np.zeros(len(vertices), dtype=np.int64)
-    corner_of[faces.reshape(-1)] = np.arange(faces.size)
-    triangle[simulated], column = np.divmod(corner_of, 3)
-    barycentric[simulated, column] = 1.0
-    left = np.setdiff1d(np.arange(len(source.vertices)), simulated)
-    if len(left):
-        triangle[left], barycentric[left] = nearest_places(source.vertices[left], vertices, faces)
-    return SourceMap(source, triangle, barycentric)
-
-
-def nearest_places(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places of a mesh that are nearest to some points.
-
-    Args:
-        points: (points, 3) [m].
-        vertices: (vertices, 3) of the mesh [m].
-        faces: (faces, 3) int64.
-
-    Returns:
-        Triangle (points,) int64 and barycentric coordinates (points, 3) in it.
-    """
-    hit = TriangleSurface(faces, len(vertices)).at(vertices).nearest(points)
-    return hit.triangle.numpy(), hit.barycentric.numpy()
+    uv_faces = None if source.polygon_uvs is None else np.concatenate(source.polygon_uvs)[corners]
+    looks = None if source.appearances is None else source.appearances.at(surface.polygon[surface.kept])
+    return Garment(
+        path.stem, vertices, faces, material, uvs=source.uvs, uv_faces=uv_faces, appearances=looks,
+        source=map_to_same(source, simulated, vertices, faces),
+    )  # fmt: skip
 
 
 def fix_command(

@@ -9,7 +9,7 @@ import numpy as np
 
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment, SourceMap
-from pb4u.garment.garment_file import map_to_same
+from pb4u.garment.source_map import map_to_same
 from pb4u.geometry.topology import Topology, connected_labels
 
 FARTHEST = 0.1

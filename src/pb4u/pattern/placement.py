@@ -6,7 +6,7 @@ import numpy as np
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.garment.body_form import form_of
-from pb4u.garment.garment_file import nearest_places
+from pb4u.garment.source_map import nearest_places
 from pb4u.pattern.body_measurements import shoulder_height, trunk_girths
 from pb4u.pattern.mesh import PatternMesh
 from pb4u.scene.scene import UP

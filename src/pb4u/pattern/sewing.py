@@ -13,8 +13,8 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.collision.crossings import self_crossings
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
-from pb4u.garment.garment_file import nearest_places
 from pb4u.garment.material import Material
+from pb4u.garment.source_map import nearest_places
 from pb4u.garment.support import find_support
 from pb4u.garment.tangles import untangled_start
 from pb4u.pattern.mesh import PatternMesh

@@ -139,6 +139,6 @@ def _placement(garment: Garment, collider: AnimatedBody, worn: np.ndarray | None
     """The garment on the moving body, at `worn` (vertices, 3) [m] where it lies over others."""
     if not isinstance(collider, PosedBody):
         return AttachedPlacement(garment, collider, worn)
-    if worn is None and CorrectedPlacement.fits(garment.skinning, collider):
+    if worn is None and garment.is_skinned_for(collider.body):
         return CorrectedPlacement(garment, collider)
     return SkinnedPlacement(garment, collider, worn=worn)

@@ -1,41 +1,57 @@
-"""The garments of a run: loaded, remeshed, held up, and in the order they are worn."""
+"""The garments of a run. Whatever a garment comes from, it goes through the same stages in the same order:
+
+1. **Read**: its mesh, in the material of the run. Parts of other materials, grain (`rest_uv`), names of panels, UVs,
+   images, pins and skinning are those of its source, and come from nowhere else. Built-in garments and patterns are
+   made here, on the body that wears them and with as many triangles as are asked for.
+2. **Place**: a garment that stands around the own origin of a body's model is moved to where that body stands. Other
+   units, axes and places are refused, here or in the check.
+3. **Remesh**: parts, pins, skinning and the map to the author's mesh are found again on other triangles. What has a
+   grain is refused: its triangles are those of flat panels.
+4. **Tack**: vertices are sewn together. The triangles keep their shapes at rest, which no remeshing could keep.
+5. **Hold**: the pins that are asked for; else its own; else the straps, waistband or collar that are found.
+6. **Check**: what the body does not wear is refused or told of, and limbs that go through the cloth go inside it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from pkgutil import resolve_name
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.vertex_sequence import VertexSequence
-from pb4u.collision.remeshing import remesh
 from pb4u.errors import InputError, InputNote, warn
 from pb4u.garment.diagnosis import require_fine, require_near, require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.fit import RestBody
-from pb4u.garment.garment import Garment, SourceMap
-from pb4u.garment.garment_file import nearest_places, read_garment
+from pb4u.garment.garment import Garment
+from pb4u.garment.garment_file import MOST_SIMULATED, authors_garment
 from pb4u.garment.layering import worn_order
 from pb4u.garment.library import DICTIONARIES, SEWN, build_garment, garment_names
 from pb4u.garment.limbs_inside import with_limbs_inside
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
+from pb4u.garment.source_map import remeshed
 from pb4u.garment.support import Support, find_support
 from pb4u.garment.tacks import tacked
 from pb4u.geometry.appearance import read_image
+from pb4u.geometry.mesh_file import MOST_READ
 from pb4u.run import WornGarment
 
 DEFAULT_MATERIAL = "default"
 
+Body: TypeAlias = ShapedBody | VertexSequence
+
 
 def load_garments(
-    specified: Sequence[WornGarment], body: ShapedBody | VertexSequence, as_recorded: bool
+    specified: Sequence[WornGarment], body: Body, as_recorded: bool
 ) -> tuple[list[Garment], list[WornGarment]]:
-    """The garments, pinned, and how each was specified, in the order they are worn, inner first.
+    """The garments, and how each was specified, in the order they are worn, inner first.
 
     Args:
         specified: which, inner first but for what is tucked into another.
@@ -46,98 +62,199 @@ def load_garments(
         InputError: one cannot be read, or does not fit.
     """
     garments = []
-    for each in specified:
-        garment = load_garment(each, body)
-        if each.texture is not None:
-            garment = garment.with_texture(read_image(Path(each.texture)))
+    for worn in specified:
+        garment = load_garment(worn, body)
         # A recording is replayed as its authors did, on the meshes that they did it with.
-        require_fine(garment, body, accepted=as_recorded or _is_own_count(each, garment))
-        garments.append(garment if each.pins is None else garment.with_pins(resolve_pins(each.pins, garment)))
+        require_fine(garment, body, accepted=as_recorded or _is_own_count(worn, garment))
+        garments.append(garment)
     order = worn_order(garments, [each.tucked for each in specified])
     return [garments[k] for k in order], [specified[k] for k in order]
 
 
 def _is_own_count(worn: WornGarment, garment: Garment) -> bool:
     """Whether the user wants just as many triangles as the garment was made with."""
-    is_built_in = str(worn.garment) in garment_names()
+    is_built_in = kind_of(worn.garment) is KINDS["built-in"]
     return worn.triangles == garment.triangle_count and garment.is_authors_mesh and not is_built_in
 
 
-def load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garment:
-    """The garment in its material, without the pins of the worn.
+def load_garment(worn: WornGarment, body: Body) -> Garment:
+    """One garment, through all stages; an image that is laid on comes last.
 
     Args:
-        worn: which garment, in what material and at how many triangles.
+        worn: which garment, and what is asked for of it.
         body: who wears it.
 
     Raises:
         InputError: it cannot be read, or does not fit.
+
+    Warns:
+        InputWarning: its file is odd, it starts inside the body, or nothing holds it up.
     """
-    garment, triangles = worn.garment, worn.triangles
+    kind = kind_of(worn.garment)
+    garment = read(worn, body)
+    garment = place(garment, body, kind)
+    garment = remesh(garment, body, kind, worn.triangles)
+    garment = tacked(garment, worn.tacks)
+    garment, support = hold(garment, body, kind, worn.pins)
+    garment = check(garment, body, kind, support, worn.garment)
+    return garment if worn.texture is None else garment.with_texture(read_image(Path(worn.texture)))
+
+
+class Kind(NamedTuple):
+    """What reads a kind of garment, and what is known of all of that kind.
+
+    Args:
+        read: makes the garment that is named for a body, of a material.
+        is_file: whether others made it, so that it is to be found out what holds it and whether the body wears it.
+        is_fitted: whether it is made on the body that wears it, with as many triangles as are asked for.
+        is_at_origin: whether it stands around the own origin of a body's model.
+    """
+
+    read: Callable[[WornGarment, Body, Material], Garment]
+    is_file: bool = False
+    is_fitted: bool = False
+    is_at_origin: bool = False
+
+
+def kind_of(garment: str | Path | Garment) -> Kind:
+    """The kind of a garment, one of `KINDS`, by its name alone.
+
+    Args:
+        garment: name, path, or Garment made in Python.
+
+    Raises:
+        InputError: it is none of these.
+    """
     if isinstance(garment, Garment):
-        if len(loose := garment.topology.isolated_vertices):
-            raise InputError(
-                f"garment {garment.name}: {len(loose)} of its {len(garment.vertices)} vertices are in no face, first "
-                f"{loose[:5].tolist()}; no cloth would carry them, so leave them out."
-            )
-        require_near(garment, body)
-        cloth = garment.material if worn.material is None else _load_material(worn.material)
-        own = tacked(_remeshed(garment, triangles), worn.tacks).with_material(cloth)
-        return own if garment.skinning is not None else with_limbs_inside(own, body)
+        return KINDS["object"]
     if not isinstance(garment, str | Path):
         raise InputError(f"The garment must be a name, a path or a Garment, not {garment!r}.")
-    cloth = _load_material(worn.material or DEFAULT_MATERIAL)
-    entry = DictionaryEntry.parse(garment)
-    if entry is not None:
-        read = DICTIONARIES.named(entry.path.suffix.lower())
-        return _worn(tacked(_remeshed(read(entry, cloth), triangles), worn.tacks), body)
-    if loader := SEWN.get(Path(garment).suffix.lower()):
-        loaded = tacked(resolve_name(loader)(Path(garment), body, cloth, triangles), worn.tacks)
-        return _held(loaded, body)[0] if worn.pins is None else loaded
-    if Path(garment).suffix:
-        loaded = read_garment(Path(garment), cloth, triangles=triangles)
-        if triangles is not None:
-            loaded = _outside_as_made(loaded, RestBody.of(body))
-        loaded = tacked(loaded, worn.tacks)
-        support = None
-        if worn.pins is None:
-            loaded, support = _held(loaded, body)
-        require_worn(loaded, body, garment, None if loaded.pinned.any() else support)
-        return with_limbs_inside(loaded, body)
+    if DictionaryEntry.parse(garment):
+        return KINDS["dictionary"]
+    suffix = Path(garment).suffix.lower()
+    return KINDS["pattern" if suffix in SEWN else "mesh" if suffix else "built-in"]
+
+
+def _built_in(worn: WornGarment, body: Body, material: Material) -> Garment:
     if not isinstance(body, ShapedBody):
         near = ", ".join(garment_names())
         raise InputError(
             f"The built-in garments ({near}) are cut from a body with bones; {body.name} is a sequence of vertices: "
             "give the garment as a mesh file that fits its first frame."
         )
-    options = {} if triangles is None else {"triangles": triangles}
-    return tacked(build_garment(str(garment), body, **options), worn.tacks).with_material(cloth)
+    options = {} if worn.triangles is None else {"triangles": worn.triangles}
+    return build_garment(str(worn.garment), body, **options).with_material(material)
 
 
-def _worn(garment: Garment, body: ShapedBody | VertexSequence) -> Garment:
-    """A garment of a dictionary, which stands where SMPL's own origin is, at the height of the body that wears it."""
-    if isinstance(body, ShapedBody):
-        garment = replace(garment, vertices=garment.vertices + np.array([0.0, body.lift, 0.0]))
-        if garment.skinning is not None and garment.skinning.bone_count == body.skeleton.bone_count:
-            return garment  # its file says how this body wears it
-    places, faces = garment.vertices, garment.faces
-    support = None if garment.pinned.any() else find_support(places, faces, RestBody.of(body))
-    require_worn(garment, body, garment.name, support)
+def _mesh(worn: WornGarment, body: Body, material: Material) -> Garment:
+    return authors_garment(str(worn.garment), material, MOST_SIMULATED if worn.triangles is None else MOST_READ)
+
+
+def _pattern(worn: WornGarment, body: Body, material: Material) -> Garment:
+    file = Path(str(worn.garment))
+    garment: Garment = resolve_name(SEWN[file.suffix.lower()])(file, body, material, worn.triangles)
     return garment
 
 
-def _outside_as_made(garment: Garment, body: RestBody) -> Garment:
-    """A remeshed garment out of the body, where its author's mesh is: the chords of a coarser one dip into the skin."""
-    source = garment.source
-    if source is None or not body.is_closed or (body.signed_distances(source.source.vertices) < 0.0).any():
-        return garment
-    if (body.signed_distances(garment.vertices) >= 0.0).all():
-        return garment
-    return replace(garment, vertices=push_out(garment.vertices, garment.topology, body))
+def _dictionary(worn: WornGarment, body: Body, material: Material) -> Garment:
+    entry = DictionaryEntry.parse(str(worn.garment))
+    assert entry is not None
+    return DICTIONARIES.named(entry.path.suffix.lower())(entry, material)
 
 
-def _held(garment: Garment, body: ShapedBody | VertexSequence) -> tuple[Garment, Support]:
-    """The garment, pinned by what was found to hold it, and that."""
+def _object(worn: WornGarment, body: Body, material: Material) -> Garment:
+    garment = worn.garment
+    assert isinstance(garment, Garment)
+    if len(loose := garment.topology.isolated_vertices):
+        raise InputError(
+            f"garment {garment.name}: {len(loose)} of its {len(garment.vertices)} vertices are in no face, first "
+            f"{loose[:5].tolist()}; no cloth would carry them, so leave them out."
+        )
+    require_near(garment, body)
+    return garment if worn.material is None else garment.with_material(material)
+
+
+KINDS = {
+    "built-in": Kind(_built_in, is_fitted=True),
+    "mesh": Kind(_mesh, is_file=True),
+    "pattern": Kind(_pattern, is_file=True, is_fitted=True),
+    "dictionary": Kind(_dictionary, is_file=True, is_at_origin=True),
+    "object": Kind(_object),
+}
+"""Name of a kind -> what reads it and what is known of it; an object is a Garment made in Python."""
+
+
+def read(worn: WornGarment, body: Body) -> Garment:
+    """A garment as its source gives it, in the material of the run; else in its own, or in the default one.
+
+    Args:
+        worn: which garment.
+        body: who wears it.
+
+    Raises:
+        InputError: it cannot be read, or is not for this body.
+    """
+    material = DEFAULT_MATERIAL if worn.material is None else worn.material
+    if not isinstance(material, str | Path | Material):
+        raise InputError(f"The material must be a name, a path or a Material, not {material!r}.")
+    cloth = material if isinstance(material, Material) else load_material(material)
+    return kind_of(worn.garment).read(worn, body, cloth)
+
+
+def place(garment: Garment, body: Body, kind: Kind) -> Garment:
+    """The garment where the body stands.
+
+    Args:
+        garment: as it was read.
+        body: who wears it.
+        kind: of the garment.
+    """
+    if not (kind.is_at_origin and isinstance(body, ShapedBody)):
+        return garment
+    return replace(garment, vertices=garment.vertices + np.array([0.0, body.lift, 0.0]))
+
+
+def remesh(garment: Garment, body: Body, kind: Kind, triangles: int | None) -> Garment:
+    """The garment with about `triangles` triangles, outside the body where its author's mesh is.
+
+    Args:
+        garment: where it is worn.
+        body: who wears it.
+        kind: of the garment.
+        triangles: wanted number; None for its own.
+
+    Raises:
+        InputError: it has a grain.
+    """
+    if kind.is_fitted or triangles is None:
+        return garment
+    other, rest = remeshed(garment, triangles), RestBody.of(body)
+    if other.is_skinned_for(body) or not rest.is_closed or (rest.signed_distances(garment.vertices) < 0.0).any():
+        return other
+    if (rest.signed_distances(other.vertices) >= 0.0).all():
+        return other
+    # The chords of a coarser mesh dip into the skin.
+    return replace(other, vertices=push_out(other.vertices, other.topology, rest))
+
+
+def hold(
+    garment: Garment, body: Body, kind: Kind, pins: str | Path | Sequence[int] | None
+) -> tuple[Garment, Support | None]:
+    """The garment, pinned, and what holds it up where no pins do; None where that is not looked for.
+
+    Args:
+        garment: where it is worn.
+        body: who wears it.
+        kind: of the garment.
+        pins: as for `resolve_pins`; None for its own, or for what is found.
+
+    Raises:
+        InputError: pins that it does not have.
+    """
+    if pins is not None:
+        return garment.with_pins(resolve_pins(pins, garment)), None
+    if garment.pinned.any() or not kind.is_file or garment.is_skinned_for(body):
+        return garment, None
     support = find_support(garment.vertices, garment.faces, RestBody.of(body))
     if support.held is None:
         return garment, support
@@ -146,39 +263,24 @@ def _held(garment: Garment, body: ShapedBody | VertexSequence) -> tuple[Garment,
         "none lets it go.",
         InputNote,
     )
-    return garment.with_pins(support.held), support
+    return garment.with_pins(support.held), None
 
 
-def _load_material(material: str | Path | Material) -> Material:
-    if isinstance(material, Material):
-        return material
-    if not isinstance(material, str | Path):
-        raise InputError(f"The material must be a name, a path or a Material, not {material!r}.")
-    return load_material(material)
+def check(garment: Garment, body: Body, kind: Kind, support: Support | None, file: object) -> Garment:
+    """The garment with the limbs of the body inside it, if the body wears it.
 
+    Args:
+        garment: as it is held.
+        body: who wears it.
+        kind: of the garment.
+        support: what holds it up, None where that is not to be told of.
+        file: what the user named, for the cures.
 
-def _remeshed(garment: Garment, triangles: int | None) -> Garment:
-    """A loaded garment with about `triangles` triangles; exports and pins follow the mesh it had."""
-    if triangles is None or triangles == garment.triangle_count:
+    Raises:
+        InputError: the body does not wear it.
+    """
+    if kind.is_fitted or garment.is_skinned_for(body):
         return garment
-    if garment.rest_uv is not None:
-        raise InputError(
-            f"{garment.name} is sewn of flat panels, and is not remeshed as it hangs; dress its pattern with "
-            f"{triangles} triangles."
-        )
-    vertices, faces = remesh(garment.vertices, garment.faces, triangles)
-    places = nearest_places(garment.vertices, vertices, faces)
-    own = garment.skinning
-    if own is not None:
-        triangle, barycentric = nearest_places(vertices, garment.vertices, garment.faces)
-        own = own.at(garment.faces[triangle], barycentric)
-    remeshed = replace(
-        garment, vertices=vertices, faces=faces, pinned=np.zeros(len(vertices), dtype=bool), uvs=None, uv_faces=None,
-        appearances=None, source=SourceMap(garment.mesh, *places), coarse_edges=(), skinning=own,
-    )  # fmt: skip
-    if garment.pinned.any():
-        remeshed = remeshed.with_pins(resolve_pins(np.flatnonzero(garment.pinned), remeshed))
-    if garment.source is None:
-        return remeshed
-    author = garment.source.source
-    return replace(remeshed, source=SourceMap(author, *nearest_places(author.vertices, vertices, faces)))
+    if kind.is_file:
+        require_worn(garment, body, str(file), support)
+    return with_limbs_inside(garment, body)
