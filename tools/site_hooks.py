@@ -22,7 +22,8 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).resolve().parents[1]
 _LEAVES = re.compile(r"\]\((\.\./)+(?P<target>[A-Za-z][^)#]*)\)")
 """A link to what lies above `docs`."""
-_PLACE = "<!-- verbs -->"
+_VERBS, _ENTRIES = "<!-- verbs -->", "<!-- entries -->"
+"""What is replaced in a page: by the flags of every verb, by the entries of a scene file."""
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
@@ -56,10 +57,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Point links at what was carried along, and fill in the flags of every verb."""
+    """Point links at what was carried along, and fill in the flags of every verb and the entries of scene files."""
     depth = page.file.src_uri.count("/")
     if page.file.src_uri == "api/commands.md":
-        markdown = markdown.replace(_PLACE, "\n".join(_verbs()))
+        markdown = markdown.replace(_VERBS, "\n".join(_verbs()))
+    if page.file.src_uri == "guides/scene_files.md":
+        markdown = markdown.replace(_ENTRIES, "\n".join(_entries()))
 
     def inside(link: re.Match[str]) -> str:
         leaves = link[0].count("../") > depth
@@ -92,6 +95,19 @@ def _verbs() -> Iterator[str]:
     from pb4u.cli.application import app
 
     yield from _section("pb4u", app)
+
+
+def _entries() -> Iterator[str]:
+    """The entries of each section of a scene file, with what they are."""
+    from pb4u.cli.record_flags import option
+    from pb4u.options import described
+    from pb4u.run import Run, WornGarment, entries
+
+    for section, title in (("scene", "[scene]"), ("garments", "[[garments]]"), ("run", "[run]")):
+        found = described(WornGarment if section == "garments" else Run)
+        yield from (f"| `{title}` | |", "|---|---|")
+        yield from (f"| `{name}` | {_cell(option(found[name]).help)} |" for name in entries(section))
+        yield ""
 
 
 def _section(path: str, group: typer.Typer) -> Iterator[str]:

@@ -30,6 +30,9 @@ class Flag:
         most: largest value.
         is_file: whether a text may name a file, which scene files hold relative to themselves.
         section: section of a scene file in which it stands.
+        applies_to: part of a model that it changes; models without that part do not look at it. None: every model does.
+        label: its name in the index of a dataset, by default that of the field; "" where it is not in there.
+        form: label of its control in the studio, which shows the fields that have one.
     """
 
     panel: str | None = None
@@ -39,6 +42,9 @@ class Flag:
     most: float | None = None
     is_file: bool = False
     section: str = "scene"
+    applies_to: str | None = None
+    label: str | None = None
+    form: str | None = None
 
 
 @dataclass(frozen=True)
@@ -47,6 +53,7 @@ class Entry:
 
     Args:
         name: of the field.
+        type: of its value, the first of those that it may have.
         kind: "switch", "whole", "number", "choice", "name", "file", "names", "counts" or "files"; "other" where its
             record checks it.
         optional: whether None may stand for its value.
@@ -57,12 +64,18 @@ class Entry:
     """
 
     name: str
+    type: Any
     kind: str
     optional: bool
     choices: tuple[str, ...]
     default: Any
     flag: Flag
     help: str
+
+    @property
+    def label(self) -> str:
+        """Its name in the index of a dataset; "" where it is not in there."""
+        return self.name if self.flag.label is None else self.flag.label
 
 
 @lru_cache
@@ -83,7 +96,9 @@ def described(record: type) -> Mapping[str, Entry]:
         choices = next((get_args(part) for part in parts if get_origin(part) is Literal), ())
         kind = "choice" if choices else next((name for of, name in _KINDS.items() if of in parts), "other")
         default = each.default if each.default is not MISSING else None
-        found[each.name] = Entry(each.name, kind, type(None) in parts, choices, default, flag, texts[each.name])
+        found[each.name] = Entry(
+            each.name, parts[0], kind, type(None) in parts, choices, default, flag, texts[each.name]
+        )
     return found
 
 

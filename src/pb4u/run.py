@@ -38,6 +38,9 @@ SCENE, GARMENT, BODY, MODEL = "Scene", "Garment", "Body and motion", "Model"
 RESEARCH = "For released research code"
 """Headings of the help."""
 
+STEPS, REFINEMENT, PASSES, NETWORK = "steps", "refinement", "passes", "network"
+"""Parts of a model that options apply to: steps of time, solver iterations that can be limited, passes, a network."""
+
 
 def _model(metavar: str | None = None, **given: Any) -> Flag:
     return Flag(MODEL, metavar, section="run", **given)
@@ -66,13 +69,15 @@ class WornGarment:
         InputError: a value of a wrong type or out of range.
     """
 
-    garment: Annotated[str | Path | Garment, Flag(GARMENT, "NAME|FILE", is_file=True)] = "tshirt"
-    material: Annotated[str | Path | Material | None, Flag(GARMENT, "[NAME=]MATERIAL", is_file=True)] = None
-    pins: Annotated[str | Path | Sequence[int] | None, Flag(GARMENT, "[NAME=]PINS", is_file=True)] = None
-    triangles: Annotated[int | None, Flag(GARMENT, "[NAME=]N")] = None
+    garment: Annotated[str | Path | Garment, Flag(GARMENT, "NAME|FILE", is_file=True, form="Garment")] = "tshirt"
+    material: Annotated[
+        str | Path | Material | None, Flag(GARMENT, "[NAME=]MATERIAL", is_file=True, form="Material")
+    ] = None
+    pins: Annotated[str | Path | Sequence[int] | None, Flag(GARMENT, "[NAME=]PINS", is_file=True, form="Pins")] = None
+    triangles: Annotated[int | None, Flag(GARMENT, "[NAME=]N", label="triangles_asked", form="Triangles")] = None
     texture: Annotated[str | Path | None, Flag(GARMENT, "[NAME=]FILE", is_file=True)] = None
     tacks: Annotated[Sequence[tuple[int, int]], Flag(GARMENT, "[NAME=]A:B")] = ()
-    tucked: Annotated[bool, Flag(GARMENT)] = False
+    tucked: Annotated[bool, Flag(GARMENT, form="Tucked in")] = False
 
     def __post_init__(self) -> None:
         if not (self.pins is None or isinstance(self.pins, str | Path)):
@@ -147,31 +152,33 @@ class Run:
     """
 
     garments: tuple[WornGarment, ...] = field(default_factory=lambda: (WornGarment(),))
-    body: Annotated[str | Path | ShapedBody | AnimatedBody, Flag(BODY, "NAME|FILE", is_file=True)] = DEFAULT_BODY
+    body: Annotated[str | Path | ShapedBody | AnimatedBody, Flag(BODY, "NAME|FILE", is_file=True, form="Body")] = (
+        DEFAULT_BODY
+    )
     body_shape: Annotated[Mapping[str, float], Flag(BODY, "KEY=VALUE,..")] = field(default_factory=dict, hash=False)
     clip: Annotated[str | None, Flag(BODY, "NAME")] = None
     body_parts: Annotated[str | None, Flag(BODY, "NAME,..")] = None
-    motion: Annotated[str | Path | Motion | None, Flag(BODY, "NAME|FILE", is_file=True)] = None
+    motion: Annotated[str | Path | Motion | None, Flag(BODY, "NAME|FILE", is_file=True, form="Motion")] = None
     crop: Annotated[tuple[int, int] | None, Flag(BODY, "A:B")] = None
     arms_away: Annotated[float | None, Flag(BODY, "DEGREES", least=0, most=90)] = None
     raw_motion: Annotated[bool, Flag(BODY, names=("--raw-motion/--steady-motion",))] = False
     recorded_fps: Annotated[float | None, Flag(BODY, "N", least=1, most=1000)] = None
-    lead_in: Annotated[int | None, Flag(BODY, "N", least=0)] = None
+    lead_in: Annotated[int | None, Flag(BODY, "N", least=0, form="Lead-in")] = None
     keep_lead_in: Annotated[bool, Flag(BODY, names=("--keep-lead-in/--drop-lead-in",))] = False
-    frames: Annotated[int | None, Flag(SCENE, "N", least=1)] = None
+    frames: Annotated[int | None, Flag(SCENE, "N", least=1, label="frames_asked", form="Frames")] = None
     fps: Annotated[float, Flag(SCENE, "N", least=1, most=1000)] = 30.0
     seed: Annotated[int, Flag(SCENE, "N", least=0)] = 0
-    model: Annotated[str | Path, _model("NAME|FILE", is_file=True)] = "auto"
-    refine: Annotated[int, _model("N", least=0, most=10_000)] = 5
-    contact: Annotated[bool, _model()] = True
-    self_contact: Annotated[bool | None, _model()] = None
-    propagation_steps: Annotated[int | None, _model("K", least=1, most=500)] = None
-    passes: Annotated[int | None, _model("N", least=1, most=1000)] = None
+    model: Annotated[str | Path, _model("NAME|FILE", is_file=True, form="Model")] = "auto"
+    refine: Annotated[int, _model("N", least=0, most=10_000, applies_to=REFINEMENT, form="Refine")] = 5
+    contact: Annotated[bool, _model(applies_to=STEPS)] = True
+    self_contact: Annotated[bool | None, _model(applies_to=STEPS)] = None
+    propagation_steps: Annotated[int | None, _model("K", least=1, most=500, applies_to=NETWORK, label="")] = None
+    passes: Annotated[int | None, _model("N", least=1, most=1000, applies_to=PASSES)] = None
     device: Annotated[Literal["auto", "cpu", "cuda"], _model()] = "auto"
-    precision: Annotated[Literal["auto", "float32", "bfloat16"], _model()] = "auto"
+    precision: Annotated[Literal["auto", "float32", "bfloat16"], _model(applies_to=NETWORK)] = "auto"
     first_frame: Annotated[
         Literal["auto", "settled", "long_step", "placed", "release", "hood", "mgn", "contourcraft"],
-        _model("NAME", names=("--first-frame", "--start")),
+        _model("NAME", names=("--first-frame", "--start"), applies_to=STEPS),
     ] = "auto"
     as_recorded: Annotated[bool, Flag(RESEARCH, names=("--as-recorded/--retargeted",))] = False
     omitted: Annotated[str | Path | None, Flag(RESEARCH, "FILE", is_file=True)] = None

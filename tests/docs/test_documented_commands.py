@@ -24,7 +24,7 @@ from pb4u.dataset.jobs_file import read_jobs
 from pb4u.garment.library import garment_names
 from pb4u.io.toml_file import tomllib
 from pb4u.pattern.files import read_pattern
-from pb4u.run import ENTRIES, Run
+from pb4u.run import Run
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md")))
@@ -69,11 +69,6 @@ def commands(block: Block) -> list[list[str]]:
             if words := shlex.split(part, comments=True):
                 found.append(words)
     return found
-
-
-def test_the_guide_names_every_entry_of_a_scene_file() -> None:
-    guide = (ROOT / "docs" / "guides" / "scene_files.md").read_text()
-    assert [name for name in ENTRIES if f"`{name}`" not in guide] == []
 
 
 def test_there_is_something_to_test() -> None:

@@ -14,6 +14,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 import pb4u
+from pb4u.run import ENTRIES
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -94,6 +95,11 @@ def test_every_verb_and_flag_is_on_the_page_of_commands(site: Path) -> None:
     page = re.sub(r"<[^>]+>", "", (site / "api" / "commands" / "index.html").read_text())
     for told in ("pb4u simulate", "pb4u batch", "pb4u assets write", "--propagation-steps K", "--clips-per-shard N"):
         assert told in page, told
+
+
+def test_every_entry_of_a_scene_file_is_in_the_guide(site: Path) -> None:
+    page = (site / "guides" / "scene_files" / "index.html").read_text()
+    assert [name for name in ENTRIES if f"<code>{name}</code>" not in page] == []
 
 
 def test_formulas_are_drawn_and_the_first_page_moves(site: Path) -> None:

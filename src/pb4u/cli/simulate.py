@@ -54,10 +54,12 @@ def simulate(
     Raises:
         InputError: the arguments contradict each other, or something they name is unknown or unusable.
     """
+    from pb4u.simulation.models import refuse_useless
+
     if scene is not None:
         _refuse_garment(scene)
     run = run_of(Run() if scene is None else Run.open(scene), flags)
-    _refuse_useless(str(run.model), flags)
+    refuse_useless(run, [name for name, value in flags.items() if value is not None])
     asked = Outputs(**given_values(Outputs, outputs))
     if (asked.measure or asked.reference) and not asked.json:
         raise InputError("--measure and --reference add to the report of --json; give --json FILE too.")
@@ -81,16 +83,6 @@ def _refuse_garment(scene: Path) -> None:
     if str(scene) in garment_names() or (scene.suffix.lower() in (*READERS, *SEWN) and scene.suffix.lower() != ".toml"):
         also = f"; pb4u view {scene} plays it if it is a trajectory" if scene.suffix.lower() == ".npz" else ""
         raise InputError(f"{scene} is no scene file; if it is a garment, give it as --garment {scene}{also}.")
-
-
-def _refuse_useless(model: str, flags: Mapping[str, Any]) -> None:
-    """Refuse flags that the model would not look at."""
-    from pb4u.simulation.models import default_model, looks_at
-
-    chosen = default_model() if model == "auto" else model
-    for name in ("propagation_steps", "passes", "precision", "refine", "contact"):
-        if flags[name] is not None and not looks_at(chosen, name):
-            raise InputError(f"--{name.replace('_', '-')} does nothing with --model {chosen}; leave it out.")
 
 
 def _default_targets(run: Run) -> list[Path]:

@@ -6,13 +6,15 @@ import io
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args, get_origin
 
 from pb4u.dataset.dataset_folder import INDEX, DatasetFolder
 from pb4u.errors import extra
 from pb4u.garment.material import Material
 from pb4u.measures.metrics import ENERGIES, OF_A_CLIP, STRAINS
 from pb4u.measures.run_job import RunJob, entry_of
+from pb4u.options import described
+from pb4u.run import Run, WornGarment
 
 if TYPE_CHECKING:
     import pyarrow
@@ -123,27 +125,29 @@ def _schema() -> pyarrow.Schema:
         "diverged_at": whole,
         **measured((*ENERGIES, *STRAINS)),
     }
+    worn = {entry.label: entry for entry in described(WornGarment).values()}
     columns = {
         **dict.fromkeys(("key", "status", "failure", "file", "member"), text),
-        **dict.fromkeys(("garment", "material", "pins", "body", "motion", "model", "device", "first_frame"), text),
-        **dict.fromkeys(("texture", "clip", "body_parts", "omitted", "precision"), text),
-        "tacks": pa.list_(pa.list_(pa.list_(whole))),
-        "tucked": pa.list_(switch),
-        "triangles_asked": pa.list_(whole),
-        "body_shape": pa.map_(text, number),
-        "crop": pa.list_(whole),
-        **dict.fromkeys(("seed", "lead_in", "frames_asked", "frames", "triangles", "vertices"), whole),
-        **dict.fromkeys(
-            ("propagation_steps", "passes", "refine", "solver_iterations", "unsolved_steps", "retried_steps"), whole
-        ),
-        **dict.fromkeys(("failed_at", "diverged_at", "bytes"), whole),
-        **dict.fromkeys(
-            ("contact", "self_contact", "half", "diverged", "raw_motion", "keep_lead_in", "as_recorded"), switch
-        ),
-        **dict.fromkeys(("fps", "recorded_fps", "arms_away", "mean_edge_length", "ms_per_step", "seconds"), number),
+        **{label: text if each.kind == "name" else pa.list_(_column(each.type)) for label, each in worn.items()},
+        **{each.label: _column(each.type) for each in described(Run).values() if each.label},
+        **dict.fromkeys(("propagation_steps", "frames", "triangles", "vertices", "solver_iterations"), whole),
+        **dict.fromkeys(("unsolved_steps", "retried_steps", "failed_at", "diverged_at", "bytes"), whole),
+        **dict.fromkeys(("half", "diverged"), switch),
+        **dict.fromkeys(("mean_edge_length", "ms_per_step", "seconds"), number),
         "notes": pa.list_(text),
         **measured(OF_A_CLIP),
         **measured(ENERGIES, "paper_"),
         "garments": pa.list_(pa.struct(list(garment.items()))),
     }
     return pa.schema(list(columns.items()))
+
+
+def _column(kind: Any) -> pyarrow.DataType:
+    """Type of the column that holds an entry of a run, by the type of its value."""
+    import pyarrow as pa
+
+    if get_origin(kind) is Mapping:
+        return pa.map_(*map(_column, get_args(kind)))
+    if get_origin(kind) in (tuple, Sequence):
+        return pa.list_(_column(get_args(kind)[0]))
+    return {bool: pa.bool_(), int: pa.int64(), float: pa.float64()}.get(kind, pa.string())

@@ -20,7 +20,7 @@ from pb4u.run import Run
 from pb4u.scene.moving_body import DEFAULT_MOTION, load_body_of
 from pb4u.scene_file import named_file
 from pb4u.simulation.checkpoint import weights_file
-from pb4u.simulation.models import default_model, simulator_of
+from pb4u.simulation.models import chosen_model, simulator_of
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
 
 
@@ -126,7 +126,7 @@ def _needs_motion(body: str, clip: str | None, body_parts: str | None) -> bool:
 
 def _resolved(run: Run) -> Model:
     simulator = simulator_of(run)
-    name = default_model(run.refine) if str(run.model) == "auto" else str(run.model)
+    name = chosen_model(run)
     device = "cuda" if str(simulator.settings().get("device")) == "cuda" else "cpu"
     if not isinstance(simulator, NetworkSimulator):
         return Model(name, device, fps=simulator.fps)

@@ -15,6 +15,7 @@ from pb4u import __version__
 from pb4u.errors import InputWarning, Pb4uError
 from pb4u.jobs.job import Failure, JobPack, Made, address, attempted, require_content
 from pb4u.jobs.job_folder import FOLDER_VERSION
+from pb4u.options import described
 from pb4u.run import Run, WornGarment
 
 # torch and all that needs it is imported where it is used: a worker sets its number of threads before.
@@ -106,25 +107,24 @@ class RunJob:
         def named(value: object) -> str | None:
             return None if value is None else names.get(str(value), str(value))
 
-        return {
+        labels: dict[str, Any] = {}
+        for name, entry in described(WornGarment).items():
+            values = [getattr(each, name) for each in run.garments]
+            if entry.kind == "name":
+                unset = "default" if name == "material" else "own"
+                labels[entry.label] = "+".join(named(value) or unset for value in values)
+            else:
+                labels[entry.label] = [_plain(value, {}) for value in values]
+        for name, entry in described(Run).items():
+            value = getattr(run, name)
+            labels[entry.label] = named(value) if entry.flag.is_file else _plain(value, {})
+        labels |= {
             "garment": "+".join(titles.get(str(each.garment), each.name) for each in run.garments),
-            "material": "+".join(named(each.material) or "default" for each in run.garments),
-            "pins": "+".join(named(each.pins) or "own" for each in run.garments),
-            "texture": "+".join(named(each.texture) or "own" for each in run.garments),
-            "tacks": [[list(pair) for pair in each.tacks] for each in run.garments],
-            "tucked": [each.tucked for each in run.garments],
-            "triangles_asked": [each.triangles for each in run.garments],
-            "body": named(run.body),
-            "body_shape": dict(run.body_shape),
             "motion": named(run.motion) or run.clip or "own",
-            "frames_asked": run.frames,
-            "crop": None if run.crop is None else list(run.crop),
             "lead_in": run.led_frames,
-            "omitted": named(run.omitted),
-            "model": named(run.model),
             "half": self.keep == "half",
-            **{name: getattr(run, name) for name in _AS_THEY_ARE},
         }
+        return {label: value for label, value in labels.items() if label}
 
     def __str__(self) -> str:
         told = self.labels
@@ -133,12 +133,6 @@ class RunJob:
         steps = "" if self.run.propagation_steps is None else f", K {self.run.propagation_steps}"
         scene = f"{told['garment']} in {told['material']} on {told['body']}, {told['motion']}, seed {told['seed']}"
         return f"{scene}{size}, by {self.label or told['model']}{steps}"
-
-
-_AS_THEY_ARE = (
-    "seed", "fps", "arms_away", "refine", "contact", "self_contact", "first_frame", "device", "clip",
-    "body_parts", "raw_motion", "recorded_fps", "keep_lead_in", "as_recorded", "passes", "precision",
-)  # fmt: skip
 
 
 def attempt(job: RunJob | JobPack) -> Made | Failure | list[Made | Failure]:

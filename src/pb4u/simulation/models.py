@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pb4u.errors import InputError, refuse_unknown, unknown_name
 from pb4u.memory import keep_freed_memory
+from pb4u.options import described
 from pb4u.registry import Registry
-from pb4u.run import Run, entries
+from pb4u.run import PASSES, REFINEMENT, STEPS, Run, entries
 from pb4u.simulation.simulator import Simulator
 
 if TYPE_CHECKING:
@@ -19,14 +20,21 @@ if TYPE_CHECKING:
     from pb4u.simulation.checkpoint import Checkpoint
     from pb4u.simulation.first_frame import FirstFrame
 
-OPTIONS: dict[str, frozenset[str]] = {
-    "solver": frozenset({"contact", "self_contact", "first_frame"}),
-    "quick-solver": frozenset({"contact", "self_contact", "first_frame", "refine"}),
-    "gradient-descent": frozenset({"contact", "self_contact", "first_frame", "refine", "passes"}),
-    "warm-start": frozenset({"contact", "self_contact", "first_frame", "refine"}),
+PARTS: dict[str, frozenset[str]] = {
+    "solver": frozenset({STEPS}),
+    "quick-solver": frozenset({STEPS, REFINEMENT}),
+    "gradient-descent": frozenset({STEPS, REFINEMENT, PASSES}),
+    "warm-start": frozenset({STEPS, REFINEMENT}),
     "skinning": frozenset(),
 }
-"""Models that are no networks, each with the options of `load_simulator` that it looks at; a network looks at all."""
+"""Models that are no networks, each with the parts that options apply to (`Flag.applies_to`); a network has all."""
+_REFUSALS = {
+    "first_frame": "{model} starts in a way of its own; leave the first frame to it.",
+    "self_contact": "{model} carries every vertex with the body and keeps no cloth from crossing, so --self-contact "
+    "cannot be on; leave it out, or take --model solver or a network.",
+}
+"""Options that a model without their part cannot do without, however they are asked for; other options are not looked
+at, and only refused as flags."""
 CONTROLS: Registry[Callable[..., Simulator]] = Registry("control")
 """What makes a control by its name, the network that it stands beside, its passes and the options of a simulator."""
 TRAINABLE: Registry[str] = Registry("trainable network")
@@ -79,14 +87,45 @@ def default_model(refine: int = Run.refine) -> str:
     return next((name for name in order if name in built_in_models()), "solver")
 
 
+def chosen_model(run: Run) -> str:
+    """Name or file of the model that a run names, or leaves open.
+
+    Args:
+        run: whose scene is not looked at.
+    """
+    return default_model(run.refine) if str(run.model) == "auto" else str(run.model)
+
+
 def looks_at(model: str | Path, option: str) -> bool:
-    """Whether a model does something with an option of `load_simulator`.
+    """Whether a model does something with an option of a run.
 
     Args:
         model: its name or file.
         option: name of the option.
     """
-    return str(model) not in OPTIONS or option in OPTIONS[str(model)]
+    part = described(Run)[option].flag.applies_to
+    return part is None or part in PARTS.get(str(model), (part,))
+
+
+def refuse_useless(run: Run, flags: Collection[str] = ()) -> None:
+    """Refuse options that the model of a run does not look at.
+
+    Args:
+        run: whose scene is not looked at.
+        flags: names of the options that were given as flags.
+
+    Raises:
+        InputError: there is such a flag, or an option asks for what the model has no part for.
+    """
+    model = chosen_model(run)
+    for name, entry in described(Run).items():
+        if looks_at(model, name):
+            continue
+        if name in _REFUSALS:
+            if getattr(run, name) not in (entry.default, False):
+                raise InputError(_REFUSALS[name].format(model=model))
+        elif name in flags:
+            raise InputError(f"--{name.replace('_', '-')} does nothing with --model {model}; leave it out.")
 
 
 def load_simulator(name: str | Path = "auto", **options: Any) -> Simulator:
@@ -95,8 +134,7 @@ def load_simulator(name: str | Path = "auto", **options: Any) -> Simulator:
     Args:
         name: "auto", "solver", "quick-solver", "gradient-descent", "warm-start", "skinning", a shipped network, a
             checkpoint file, or a .pth of the released code of Pb4U-GNet, HOOD or ContourCraft.
-        options: fields of `Run` on the simulation by name: contact, self_contact, refine, propagation_steps, passes,
-            device, precision, first_frame.
+        options: entries of `[run]` in a scene file, by name; `Run` says what each is.
 
     Raises:
         InputError: an unknown name, a bad file or an impossible option.
@@ -122,14 +160,15 @@ def simulator_of(run: Run) -> Simulator:
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, QuickSolver, SolverSimulator
 
     keep_freed_memory()
-    model = default_model(run.refine) if str(run.model) == "auto" else str(run.model)
-    _require_possible(run, model)
+    model = chosen_model(run)
+    refuse_useless(run)
+    _require_known(model)
     potential = IncrementalPotential()
     if run.self_contact is not False:
         potential = potential.with_self_contact(bodies=run.contact)
     contact = ContactResponse() if run.contact else None
     # The solver improves a state more, and settles it better, than one long step of a network at the same cost.
-    solves = (model in OPTIONS and not looks_at(model, "refine")) or run.refine > 0
+    solves = (model in PARTS and not looks_at(model, "refine")) or run.refine > 0
     first_frame = _first_frame(run.first_frame, "settled" if solves else "long_step", potential)
     common: dict[str, Any] = {"contact": contact, "first_frame": first_frame, "potential": potential}
     if model == "skinning":
@@ -142,7 +181,7 @@ def simulator_of(run: Run) -> Simulator:
         return QuickSolver(refine=run.refine, **common)
     # Where the solver refines, it improves a state more than a further pass does.
     passes = 1 if run.passes is None and run.refine else run.passes
-    if model in OPTIONS:
+    if model in PARTS:
         like = load_checkpoint_of(_shipped_network(model)).model.network
         return CONTROLS.named(model)(model, like, passes, refine=run.refine, **common)
     device = available_device(run.device)
@@ -159,18 +198,9 @@ def _shipped_network(control: str) -> str:
     return name
 
 
-def _require_possible(run: Run, model: str) -> None:
-    """Refuse an unknown model, and options that it cannot follow."""
-    if run.first_frame != "auto" and not looks_at(model, "first_frame"):
-        raise InputError(f"{model} starts in a way of its own; leave the first frame to it.")
-    if run.self_contact and not looks_at(model, "self_contact"):
-        raise InputError(
-            f"{model} carries every vertex with the body and keeps no cloth from crossing, so --self-contact cannot be "
-            "on; leave it out, or take --model solver or a network."
-        )
-    if model in OPTIONS:
-        return
-    if model not in model_descriptions():
+def _require_known(model: str) -> None:
+    """Refuse the name of no model, and a file that is none."""
+    if model not in (*PARTS, *model_descriptions()):
         _refuse_other_files_of_a_training(Path(model))
         if not Path(model).suffix:
             raise unknown_model(model)
@@ -186,7 +216,7 @@ def unknown_model(name: str) -> InputError:
     known = model_descriptions()
     if trainable is None:
         return unknown_name("model", name, known)
-    networks = ", ".join(each for each in known if each not in OPTIONS and not each.startswith("comparison-"))
+    networks = ", ".join(each for each in known if each not in PARTS and not each.startswith("comparison-"))
     return InputError(f"There is no model {name!r} with weights: {trainable}; the weights shipped are {networks}.")
 
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pb4u.body.library import body_names
 from pb4u.garment.library import LEVELS, garment_names
 from pb4u.garment.material import material_names
 from pb4u.garment.pins import NAMES as PIN_NAMES
 from pb4u.motion.library import motion_names
-from pb4u.options import described
-from pb4u.run import MOST_GARMENTS, Run, WornGarment
+from pb4u.options import Entry, described
+from pb4u.run import BODY, MOST_GARMENTS, Run, WornGarment
 from pb4u.scene.loaded_garments import DEFAULT_MATERIAL
 from pb4u.scene.moving_body import DEFAULT_FRAMES, DEFAULT_MOTION
 from pb4u.simulation.models import default_model, model_descriptions
@@ -28,6 +28,34 @@ if TYPE_CHECKING:
 _OWN_PINS = "its own"
 
 
+def _controls(gui: Any, entries: Iterable[Entry], offered: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Controls of the fields that have a label in the form, by field.
+
+    Each has the default, the help, the range and the choices of its field; what is `offered` of a field wins.
+    """
+    controls = {}
+    for entry in entries:
+        label, given = entry.flag.form, {"initial_value": entry.default, "hint": entry.help}
+        if label is None:
+            continue
+        if entry.kind == "switch":
+            add = gui.add_checkbox
+        elif entry.choices or "options" in offered.get(entry.name, ()):
+            add, given["options"] = gui.add_dropdown, entry.choices
+        else:
+            add, step = gui.add_number, 1 if entry.kind == "whole" else None
+            given |= {"min": entry.flag.least, "max": entry.flag.most, "step": step}
+        controls[entry.name] = add(label, **{**given, **offered.get(entry.name, {})})
+    return controls
+
+
+def _values(record: type, controls: Mapping[str, Any], find: Callable[[str, Any], Path | None]) -> dict[str, Any]:
+    """What is filled into the controls of a record, by field; `find` gives the file of a field and name."""
+    kinds = {name: entry.kind for name, entry in described(record).items()}
+    values = {name: int(each.value) if kinds[name] == "whole" else each.value for name, each in controls.items()}
+    return {name: find(name, value) or value for name, value in values.items()}
+
+
 class GarmentControls:
     """Controls of one garment.
 
@@ -35,20 +63,22 @@ class GarmentControls:
         gui: controls of one page.
         garments: names that can be chosen.
         number: of the garment, from 1 for the innermost.
-        worn: what is filled in first.
+        first: name that is filled in first.
     """
 
-    def __init__(self, gui: GuiApi, garments: tuple[str, ...], number: int, worn: WornGarment) -> None:
+    def __init__(self, gui: GuiApi, garments: tuple[str, ...], number: int, first: str) -> None:
         self.folder = gui.add_folder(f"Garment {number}" + (", the innermost" if number == 1 else ""))
+        offered: dict[str, dict[str, Any]] = {
+            "garment": {"options": garments, "initial_value": first},
+            "material": {"options": material_names(), "initial_value": DEFAULT_MATERIAL},
+            "pins": {"options": (_OWN_PINS, *PIN_NAMES), "initial_value": _OWN_PINS},
+            "triangles": {
+                "initial_value": LEVELS["base"], "min": 0, "max": MOST_TRIANGLES, "step": 100,
+                "hint": "0 for a file of your own: simulate its own mesh.",
+            },
+        }  # fmt: skip
         with self.folder:
-            self.garment = gui.add_dropdown("Garment", garments, initial_value=str(worn.garment))
-            self.material = gui.add_dropdown("Material", material_names(), initial_value=DEFAULT_MATERIAL)
-            self.triangles = gui.add_number(
-                "Triangles", LEVELS["base"], min=0, max=MOST_TRIANGLES, step=100,
-                hint="0 for a file of your own: simulate its own mesh.",
-            )  # fmt: skip
-            self.pins = gui.add_dropdown("Pins", (_OWN_PINS, *PIN_NAMES), hint="Vertices that follow the body.")
-            self.tucked = gui.add_checkbox("Tucked in", False, hint="Goes into what is worn from the waist.")
+            self.controls = _controls(gui, described(WornGarment).values(), offered)
 
     def specification(self, find: Callable[[str, str], Path | None]) -> WornGarment:
         """The garment that is filled in; `find` gives the file of a kind and name, if there is one.
@@ -56,13 +86,9 @@ class GarmentControls:
         Args:
             find: gives the path of a file of a kind and name, or None.
         """
-        return WornGarment(
-            find("garment", self.garment.value) or self.garment.value,
-            self.material.value,
-            pins=None if self.pins.value == _OWN_PINS else self.pins.value,
-            triangles=int(self.triangles.value) or None,
-            tucked=bool(self.tucked.value),
-        )
+        values = _values(WornGarment, self.controls, find)
+        pins = None if values["pins"] == _OWN_PINS else values["pins"]
+        return WornGarment(**{**values, "pins": pins, "triangles": values["triangles"] or None})
 
 
 class SimulationPanel(Panel):
@@ -70,14 +96,24 @@ class SimulationPanel(Panel):
 
     def _add_controls(self) -> None:
         gui = self._gui
-        usual, models = Run(), model_descriptions()
+        entries, models = described(Run).values(), model_descriptions()
         self._offered = {"garment": garment_names(), "body": body_names(), "motion": motion_names()}
         self._place = gui.add_folder(None)
         self._worn: list[GarmentControls] = []
         self._more = gui.add_button("Add a garment", hint="Worn over those that are there.")
         self._fewer = gui.add_button("Take off the last", visible=False)
-        self._body = gui.add_dropdown("Body", body_names(), initial_value=str(usual.body))
-        self._motion = gui.add_dropdown("Motion", motion_names(), initial_value=DEFAULT_MOTION)
+        offered: dict[str, dict[str, Any]] = {
+            "body": {"options": body_names()},
+            "motion": {"options": motion_names(), "initial_value": DEFAULT_MOTION},
+            "lead_in": {"initial_value": Run().led_frames, "max": MOST_FRAMES},
+            "frames": {"initial_value": DEFAULT_FRAMES, "max": MOST_FRAMES},
+            "model": {
+                "options": tuple(models), "initial_value": default_model(),
+                "hint": "; ".join(f"{name}: {line}" for name, line in models.items()),
+            },
+            "refine": {"max": MOST_REFINING},
+        }  # fmt: skip
+        self._controls = _controls(gui, [each for each in entries if each.flag.panel == BODY], offered)
         with gui.add_folder("Files of your own", expand_by_default=False):
             for kind, accepted in KINDS.items():
                 suffixes = accepted.suffixes + accepted.companions
@@ -87,19 +123,7 @@ class SimulationPanel(Panel):
                     "and goes when this page is closed.",
                 )  # fmt: skip
                 button.on_upload(self._answer(partial(self._take, kind, button)))
-        self._frames = gui.add_number("Frames", DEFAULT_FRAMES, min=1, max=MOST_FRAMES, step=1)
-        self._lead_in = gui.add_number(
-            "Lead-in", usual.led_frames, min=0, max=MOST_FRAMES, step=1,
-            hint=described(Run)["lead_in"].help,
-        )  # fmt: skip
-        self._model = gui.add_dropdown(
-            "Model", list(models), initial_value=default_model(),
-            hint="; ".join(f"{name}: {line}" for name, line in models.items()),
-        )  # fmt: skip
-        self._refine = gui.add_number(
-            "Refine", usual.refine, min=0, max=MOST_REFINING, step=1,
-            hint=described(Run)["refine"].help,
-        )  # fmt: skip
+        self._controls |= _controls(gui, [each for each in entries if each.flag.panel != BODY], offered)
         self._start = gui.add_button("Simulate")
         self._stop = gui.add_button("Cancel", disabled=True)
         self._bar = gui.add_progress_bar(0.0, visible=False)
@@ -113,13 +137,11 @@ class SimulationPanel(Panel):
         self._save.on_click(self._answer(self._save_scene))
 
     def _add_garment(self) -> None:
-        taken = [each.garment.value for each in self._worn]
+        taken = [each.controls["garment"].value for each in self._worn]
         usual = str(WornGarment().garment)
         free = next((name for name in (usual, *self._offered["garment"]) if name not in taken), usual)
         with self._place:
-            self._worn.append(
-                GarmentControls(self._gui, self._offered["garment"], len(self._worn) + 1, WornGarment(free))
-            )
+            self._worn.append(GarmentControls(self._gui, self._offered["garment"], len(self._worn) + 1, free))
         self._show_counts()
 
     def _take_off(self) -> None:
@@ -137,16 +159,15 @@ class SimulationPanel(Panel):
             self._status.content = notice(f"{name} is here; it is read with the file that it belongs to.")
             return
         self._offered[kind] = tuple(dict.fromkeys((*self._offered[kind], name)))
-        controls = {
-            "garment": [each.garment for each in self._worn], "body": [self._body], "motion": [self._motion],
-        }[kind]  # fmt: skip
+        holders = [each.controls for each in self._worn] if kind == "garment" else [self._controls]
+        controls = [each[kind] for each in holders]
         for control in controls:
             chosen = control.value
             control.options = self._offered[kind]
-            control.value = chosen  # type: ignore[misc]
-        controls[-1].value = name  # type: ignore[misc]
+            control.value = chosen
+        controls[-1].value = name
         if kind == "garment":
-            self._worn[-1].triangles.value = 0  # type: ignore[misc]
+            self._worn[-1].controls["triangles"].value = 0
         self._status.content = notice(f"{name} is here and chosen.", Tone.good)
 
     def run(self) -> Run:
@@ -156,15 +177,8 @@ class SimulationPanel(Panel):
             InputError: that cannot be a run.
         """
         find = self._window.find
-        return Run(
-            tuple(each.specification(find) for each in self._worn),
-            find("body", self._body.value) or self._body.value,
-            motion=find("motion", self._motion.value) or self._motion.value,
-            frames=int(self._frames.value),
-            lead_in=int(self._lead_in.value),
-            model=self._model.value,
-            refine=int(self._refine.value),
-        )
+        worn = tuple(each.specification(find) for each in self._worn)
+        return Run(worn, **_values(Run, self._controls, find))
 
     def _save_scene(self) -> None:
         self._status.content = notice(self._window.save_scene(self.run()), Tone.good)
