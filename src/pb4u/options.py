@@ -32,6 +32,7 @@ class Flag:
         section: section of a scene file in which it stands.
         applies_to: part of a model that it changes; models without that part do not look at it. None: every model does.
         label: its name in the index of a dataset, by default that of the field; "" where it is not in there.
+        by_part: whether a mapping may give a value for each part of a garment.
         form: label of its control in the studio, which shows the fields that have one.
     """
 
@@ -44,6 +45,7 @@ class Flag:
     section: str = "scene"
     applies_to: str | None = None
     label: str | None = None
+    by_part: bool = False
     form: str | None = None
 
 
@@ -152,6 +154,8 @@ def _fits(entry: Entry, value: object) -> bool:
     if entry.kind == "switch":
         return isinstance(value, bool)
     if entry.kind == "name":
+        if entry.flag.by_part and isinstance(value, Mapping):
+            return bool(value) and all(isinstance(part, str) and _fits(entry, each) for part, each in value.items())
         return value != "" and not isinstance(value, Real | Mapping | list | set) and value is not None
     if entry.kind in ("other", "file", "names", "counts", "files"):
         return True

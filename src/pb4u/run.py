@@ -34,6 +34,9 @@ MOST_GARMENTS = 8
 """Garments of a scene: laying them over each other takes twenty times as long for eight as for two, and with more the
 outermost has no room left within the sleeves of its own cut."""
 
+REST = "body"
+"""Name of what is left of a garment beside the parts that are named."""
+
 SCENE, GARMENT, BODY, MODEL = "Scene", "Garment", "Body and motion", "Model"
 RESEARCH = "For released research code"
 """Headings of the help."""
@@ -54,8 +57,9 @@ class WornGarment:
         garment: Built-in garment (`pb4u assets` lists them), a mesh file (.obj, .ply, .stl, .glb, .gltf, .off), in
             metres, that fits the body at rest, a sewing pattern (GarmentCode's .json, a .toml of an SVG, or .npz of
             `pb4u dress`), or FILE.pkl:NAME of a garments dictionary of HOOD's family; in Python a Garment too.
-        material: Built-in material (`pb4u assets`), a JSON file in SI units or a Material. Default: the garment's own,
-            or "default".
+        material: Built-in material (`pb4u assets`), a JSON file in SI units or a Material; NAME.PART=MATERIAL, or a
+            table by part, gives one to a panel of its pattern or to what its file calls a material ("body" is the
+            rest). Default: the garment's own, or "default".
         pins: Vertices that follow the body: none, waist (highest border), collar (uppermost 4 cm of a border), hem
             (lowest border), loop:N (of the borders by their vertices, loop:0 the one with the most), a file of indices
             or a list. Default: the garment's own.
@@ -71,8 +75,9 @@ class WornGarment:
 
     garment: Annotated[str | Path | Garment, Flag(GARMENT, "NAME|FILE", is_file=True, form="Garment")] = "tshirt"
     material: Annotated[
-        str | Path | Material | None, Flag(GARMENT, "[NAME=]MATERIAL", is_file=True, form="Material")
-    ] = None
+        str | Path | Material | Mapping[str, str | Path | Material] | None,
+        Flag(GARMENT, "[NAME[.PART]=]MATERIAL", is_file=True, form="Material", by_part=True),
+    ] = field(default=None, hash=False)
     pins: Annotated[str | Path | Sequence[int] | None, Flag(GARMENT, "[NAME=]PINS", is_file=True, form="Pins")] = None
     triangles: Annotated[int | None, Flag(GARMENT, "[NAME=]N", label="triangles_asked", form="Triangles")] = None
     texture: Annotated[str | Path | None, Flag(GARMENT, "[NAME=]FILE", is_file=True)] = None
@@ -89,6 +94,13 @@ class WornGarment:
             raise InputError(f"Tacks are pairs of vertices, such as [[10, 210]], not {self.tacks!r}.")
         object.__setattr__(self, "tacks", tuple((int(a), int(b)) for a, b in self.tacks))
         _check(self)
+
+    @property
+    def materials(self) -> Mapping[str, str | Path | Material]:
+        """Its material by part, that of the rest under "body"; empty where none is asked for."""
+        if self.material is None:
+            return {}
+        return self.material if isinstance(self.material, Mapping) else {REST: self.material}
 
     @property
     def name(self) -> str:
@@ -216,7 +228,9 @@ class Run:
     @property
     def files(self) -> tuple[object, ...]:
         """Everything that names what is read, be it a built-in name, a file or a loaded object."""
-        worn = [getattr(each, name) for each in self.garments for name in _files(WornGarment)]
+        worn = [
+            value for each in self.garments for name in _files(WornGarment) for value in of_parts(getattr(each, name))
+        ]
         return *worn, *(getattr(self, name) for name in _files(Run))
 
     @property
@@ -329,6 +343,15 @@ def entries(section: str) -> tuple[str, ...]:
     return tuple(name for name, entry in described(Run).items() if entry.flag.section == section)
 
 
+def of_parts(value: object) -> tuple[object, ...]:
+    """The values of all parts of a garment, where an entry has one for each; else the one value.
+
+    Args:
+        value: of an entry.
+    """
+    return tuple(value.values()) if isinstance(value, Mapping) else (value,)
+
+
 def _files(record: type) -> tuple[str, ...]:
     return tuple(name for name, entry in described(record).items() if entry.flag.is_file)
 
@@ -354,6 +377,8 @@ def located(name: str, value: Any, folder: Path | None) -> Any:
     """
     if isinstance(value, list | tuple):
         return [located(name, each, folder) for each in value]
+    if isinstance(value, Mapping):
+        return {part: located(name, each, folder) for part, each in value.items()}
     return folder / value if folder is not None and isinstance(value, str) and names_file(name, value) else value
 
 

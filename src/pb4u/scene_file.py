@@ -146,7 +146,7 @@ def _plain(name: str, value: Any, folder: Path) -> Any:
         written = Path(file).as_posix()
         return written if names_file(name, written) else f"./{written}"
     if isinstance(value, Mapping):
-        return {key: _plain(key, entry, folder) for key, entry in value.items()}
+        return {key: _plain(name, entry, folder) for key, entry in value.items()}
     if isinstance(value, tuple):
         return [_plain("", entry, folder) for entry in value]
     if isinstance(value, str | bool):

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from tests.pattern.patterns import gathered, skirt
 
-from pb4u.export.panels import SewnPanels, seam_edges, uv_islands
+from pb4u.export.panels import SewnPanels, seam_edges
 from pb4u.export.registry import export
 from pb4u.garment.material import MATERIALS
 from pb4u.geometry.obj_file import read_obj
-from pb4u.geometry.topology import joined_indices
+from pb4u.geometry.topology import joined_indices, uv_islands
 from pb4u.pattern.mesh import PatternMesh, mesh_pattern
 from pb4u.pattern.sewing import sewn_garment
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader

@@ -12,7 +12,7 @@ from pb4u.cli.console import BodyShape, FrameRange
 from pb4u.cli.record_flags import flag_of, is_on_or_off, option
 from pb4u.errors import InputError, refuse_unknown
 from pb4u.options import Entry, described, require_value
-from pb4u.run import BODY, GARMENT, MODEL, RESEARCH, SCENE, Run, WornGarment, entries
+from pb4u.run import BODY, GARMENT, MODEL, RESEARCH, REST, SCENE, Run, WornGarment, entries
 
 AS_RELEASED: Mapping[str, str] = {"pb4u": "release", "hood": "hood", "mgn": "mgn", "contourcraft": "contourcraft"}
 """First frame of the released code of each method."""
@@ -110,9 +110,16 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
     tuck, tack, method = given.pop("tuck", []), given.pop("tack", []), given.pop("as_released", None)
     named = given.get("garment")
     worn = [WornGarment(name).name for name in named] if named else [each.name for each in described_run.garments]
+    of_parts = _of_parts(given, worn)
     for name in ("material", "pins", "triangles", "texture"):
         if name in given:
             given[name] = _one_each(name, given[name], worn)
+    for name, number, part, value in of_parts:
+        whole = given.setdefault(name, [None] * len(worn))
+        before = None if named else getattr(described_run.garments[number], name)
+        kept = whole[number] if whole[number] is not None else before
+        rest = {} if kept is None else {REST: kept}
+        whole[number] = {**(kept if isinstance(kept, Mapping) else rest), part: value}
     refuse_unknown("garment", tuck, worn, "The scene")
     if tuck:
         given["tucked"] = [True if name in tuck else None for name in worn]
@@ -157,6 +164,21 @@ def _garment_flag(entry: Entry) -> tuple[str, Any]:
     parser = GarmentValue.parse_count if entry.kind == "whole" else GarmentValue.parse
     more = " Once for all garments, once a garment in their order, or as NAME=VALUE."
     return entry.name, Annotated[list[GarmentValue] | None, option(entry, more, parser)]
+
+
+def _of_parts(given: dict[str, Any], names: Sequence[str]) -> list[tuple[str, int, str, str]]:
+    """Takes out of `given` what is for one part of a garment: the flag, number of the garment, part and value."""
+    found = []
+    for name in [each.name for each in described(WornGarment).values() if each.flag.by_part and each.name in given]:
+        for value in list(given[name]):
+            garment, dot, part = (value.garment or "").rpartition(".")
+            if dot and value.garment not in names:
+                refuse_unknown("garment", [garment], names, "The scene")
+                found.append((name, names.index(garment), part, value.value))
+                given[name].remove(value)
+        if not given[name]:
+            del given[name]
+    return found
 
 
 def _one_each(flag: str, given: Sequence[GarmentValue], names: Sequence[str]) -> list[Any]:

@@ -79,7 +79,7 @@ def together(jobs: Sequence[RunJob]) -> list[RunJob | JobPack]:
 
 def _named(run: Run) -> str:
     """Entries that describe a clip, defaults left out: for the message where it cannot be planned."""
-    garments = (f"{each.name} in {each.material}" if each.material else each.name for each in run.garments)
+    garments = (" in ".join((each.name, *map(str, each.materials.values()))) for each in run.garments)
     others = {name: getattr(run, name) for name in ("body", "motion", "crop", "clip", "model", "seed")}
     told = (f"{name} = {value}" for name, value in others.items() if value != getattr(Run(), name))
     return ", ".join(["+".join(garments), *told])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pb4u.geometry.topology import connected_labels
+from pb4u.geometry.topology import uv_islands
 from pb4u.scene.trajectory import TrajectoryHeader
 
 
@@ -46,19 +46,6 @@ class SewnPanels:
             return None
         rows = of_face >= 0
         return SewnPanels(tuple(names), of_face, seam_edges(header.faces[rows], header.uv_faces[rows]))
-
-
-def uv_islands(uv_faces: np.ndarray) -> np.ndarray:
-    """Island (faces,) int64 of each face (faces, 3) of UV points, numbered in the order of their first points.
-
-    Args:
-        uv_faces: (faces, 3) int64.
-    """
-    points, corners = np.unique(uv_faces, return_inverse=True)
-    corners = corners.reshape(-1, 3)
-    island = connected_labels(len(points), *np.concatenate([corners[:, :2], corners[:, 1:]]).T)
-    first = np.unique(island, return_index=True)[1]
-    return np.asarray(np.argsort(np.argsort(first))[island][corners[:, 0]], dtype=np.int64)
 
 
 def seam_edges(faces: np.ndarray, uv_faces: np.ndarray) -> np.ndarray:

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pb4u.export.panels import SewnPanels, uv_islands
+from pb4u.export.panels import SewnPanels
 from pb4u.export.shading import ClothPart, Colour, cloth_parts
 from pb4u.garment.cuts import CUTS
-from pb4u.geometry.topology import Topology
+from pb4u.geometry.topology import Topology, uv_islands
 from pb4u.scene.trajectory import TrajectoryHeader
 
 HEM = 0.02

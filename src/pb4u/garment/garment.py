@@ -15,7 +15,7 @@ from pb4u.garment.material import Material
 from pb4u.geometry.appearance import Appearance, Appearances
 from pb4u.geometry.mesh_arrays import as_numbers, checked_faces, checked_places, checked_vertices
 from pb4u.geometry.mesh_file import PolygonMesh
-from pb4u.geometry.topology import Topology
+from pb4u.geometry.topology import Topology, uv_islands
 from pb4u.geometry.triangle_mesh import edge_lengths, face_areas, laid_flat
 
 
@@ -187,6 +187,18 @@ class Garment:
     def vertex_areas(self) -> np.ndarray:
         """Rest areas (vertices,) [m^2] that belong to the vertices: a third of each incident face."""
         return self.at_vertices(self.face_areas)
+
+    @cached_property
+    def parts(self) -> dict[str, np.ndarray]:
+        """Faces (faces,) bool by the name of a part: what its file calls materials, and the panels of its pattern."""
+        found: dict[str, np.ndarray] = {}
+        if self.appearances is not None:
+            of_face = self.appearances.of_face
+            found |= {each.name: of_face == number for number, each in enumerate(self.appearances.listed)}
+        if self.panels and self.uv_faces is not None:
+            island = uv_islands(self.uv_faces)
+            found |= {name: island == number for number, name in enumerate(self.panels)}
+        return found
 
     def of_faces(self, name: str) -> np.ndarray:
         """A property of the material of each face, (faces,) or (faces, numbers) in its unit.

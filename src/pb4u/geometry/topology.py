@@ -269,3 +269,16 @@ def neighbour_mean(topology: Topology) -> csr_matrix:
     adjacency = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count))
     degree = np.asarray(adjacency.sum(axis=1)).reshape(-1)
     return diags(1.0 / np.maximum(degree, 1.0)) @ adjacency + diags((degree == 0).astype(np.float64))
+
+
+def uv_islands(uv_faces: np.ndarray) -> np.ndarray:
+    """Island (faces,) int64 of each face (faces, 3) of UV points, numbered in the order of their first points.
+
+    Args:
+        uv_faces: (faces, 3) int64.
+    """
+    points, corners = np.unique(uv_faces, return_inverse=True)
+    corners = corners.reshape(-1, 3)
+    island = connected_labels(len(points), *np.concatenate([corners[:, :2], corners[:, 1:]]).T)
+    first = np.unique(island, return_index=True)[1]
+    return np.asarray(np.argsort(np.argsort(first))[island][corners[:, 0]], dtype=np.int64)

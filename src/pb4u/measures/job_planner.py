@@ -90,8 +90,9 @@ class JobPlanner:
     def _require_names(self, run: Run) -> None:
         """Refuse names and files that are not there."""
         known = {"garment": garment_names(), "motion": motion_names(), "material": tuple(MATERIALS)}
-        worn = [(kind, getattr(each, kind)) for each in run.garments for kind in ("garment", "material")]
-        given = [*worn, *((kind, getattr(run, kind)) for kind in ("motion", "body", "omitted", "model"))]
+        worn: list[tuple[str, object]] = [("garment", each.garment) for each in run.garments]
+        cloths = [("material", value) for each in run.garments for value in each.materials.values()]
+        given = [*worn, *cloths, *((kind, getattr(run, kind)) for kind in ("motion", "body", "omitted", "model"))]
         for kind, value in given:
             if value is None or (kind, str(value)) in self._checked or not isinstance(value, str | Path):
                 continue

@@ -105,6 +105,8 @@ class RunJob:
         names = {**stems, **titles}
 
         def named(value: object) -> str | None:
+            if isinstance(value, Mapping):
+                return ",".join(f"{part}:{named(each)}" for part, each in value.items())
             return None if value is None else names.get(str(value), str(value))
 
         labels: dict[str, Any] = {}

@@ -24,7 +24,7 @@ import numpy as np
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.vertex_sequence import VertexSequence
-from pb4u.errors import InputError, InputNote, warn
+from pb4u.errors import InputError, InputNote, refuse_unknown, warn
 from pb4u.garment.diagnosis import require_fine, require_near, require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.fit import RestBody
@@ -41,7 +41,7 @@ from pb4u.garment.support import Support, find_support
 from pb4u.garment.tacks import tacked
 from pb4u.geometry.appearance import read_image
 from pb4u.geometry.mesh_file import MOST_READ
-from pb4u.run import WornGarment
+from pb4u.run import REST, WornGarment
 
 DEFAULT_MATERIAL = "default"
 
@@ -171,7 +171,7 @@ def _object(worn: WornGarment, body: Body, material: Material) -> Garment:
             f"{loose[:5].tolist()}; no cloth would carry them, so leave them out."
         )
     require_near(garment, body)
-    return garment if worn.material is None else garment.with_material(material)
+    return garment.with_material(material) if REST in worn.materials else garment
 
 
 KINDS = {
@@ -194,11 +194,18 @@ def read(worn: WornGarment, body: Body) -> Garment:
     Raises:
         InputError: it cannot be read, or is not for this body.
     """
-    material = DEFAULT_MATERIAL if worn.material is None else worn.material
+    materials = dict(worn.materials)
+    garment = kind_of(worn.garment).read(worn, body, _material(materials.pop(REST, DEFAULT_MATERIAL)))
+    refuse_unknown("part", materials, garment.parts, f"The garment {garment.name}")
+    for part, material in materials.items():
+        garment = garment.with_part(_material(material), garment.parts[part])
+    return garment
+
+
+def _material(material: str | Path | Material) -> Material:
     if not isinstance(material, str | Path | Material):
         raise InputError(f"The material must be a name, a path or a Material, not {material!r}.")
-    cloth = material if isinstance(material, Material) else load_material(material)
-    return kind_of(worn.garment).read(worn, body, cloth)
+    return material if isinstance(material, Material) else load_material(material)
 
 
 def place(garment: Garment, body: Body, kind: Kind) -> Garment:

@@ -50,7 +50,8 @@ def require_offered(run: Run, files: Collection[Path] = ()) -> None:
         ("refining iterations", run.refine, 0, MOST_REFINING),
     ]
     for worn in run.garments:
-        named += [("garment", worn.garment, garment_names()), ("material", worn.material, material_names())]
+        named.append(("garment", worn.garment, garment_names()))
+        named += [("material", material, material_names()) for material in worn.materials.values()]
         # A file may keep its own mesh; how large that is shows when it is read.
         count = worn.triangles if worn.garment in files else worn.triangles or 0
         counts.append(("triangles", count, LEAST_TRIANGLES, MOST_TRIANGLES))
