@@ -44,6 +44,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: order.get(item.path, len(order)))
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    slow = [item for item in terminalreporter.stats.get("deselected", []) if item.get_closest_marker("slow")]
+    if slow:
+        terminalreporter.write_line(f"{len(slow)} slow tests were left out; -m slow runs them.")
+
+
 def pytest_collection_finish() -> None:
     # Modules stay: each collection of garbage would look through them again.
     gc.freeze()
