@@ -269,6 +269,7 @@ def test_a_killed_worker_loses_nothing_and_nothing_is_made_twice(
     assert [path.read_bytes() for path in others] == [b"clip1", b"clip2"]
 
 
+@pytest.mark.slow
 def test_a_request_to_end_is_answered_as_before_while_ray_works_and_after() -> None:
     pytest.importorskip("ray", reason='needs the "ray" extra')
     asked: list[int] = []

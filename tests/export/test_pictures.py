@@ -92,9 +92,13 @@ def test_a_view_of_a_file_without_pictures_is_refused(convert: Convert, trajecto
     assert "holds no picture" in error
 
 
-@pytest.mark.parametrize("elevation", [0.0, 8.0, 50.0, 90.0])
-@pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize(("width", "height"), [(90, 160), (60, 200), (200, 60)])
+@pytest.mark.parametrize(
+    ("side", "elevation", "width", "height"),
+    [
+        ("front", 0.0, 90, 160), ("front", 90.0, 200, 60), ("back", 8.0, 200, 60), ("back", 50.0, 60, 200),
+        ("left", 8.0, 60, 200), ("left", 90.0, 90, 160), ("right", 0.0, 200, 60), ("right", 50.0, 90, 160),
+    ],
+)  # fmt: skip
 def test_the_whole_figure_is_in_the_picture_from_every_side(
     long_figure: Trajectory, side: str, elevation: float, width: int, height: int
 ) -> None:

@@ -32,7 +32,13 @@ def source_of(garment):
     return PolygonMesh(garment.vertices, tuple(garment.faces))
 
 
-@pytest.mark.parametrize("name", garment_names())
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[] if name in ("tshirt", "skirt", "cardigan") else [pytest.mark.slow])
+        for name in garment_names()
+    ],
+)
 def test_what_is_pinned_is_told_once_a_file_has_lost_its_pins(name, woman, tmp_path):
     built = build_garment(name, woman, 600)
     exported = read_source(saved(tmp_path, source_of(built)))
@@ -54,8 +60,13 @@ def test_what_holds_a_garment_up_is_looked_for_once(woman, tmp_path, monkeypatch
         assert len(asked) == 1
 
 
-@pytest.mark.parametrize("body", ["woman", "man"])
-@pytest.mark.parametrize("weight", [0.0, 1.0])
+@pytest.mark.parametrize(
+    ("body", "weight"),
+    [
+        ("woman", 1.0), ("man", 0.0),
+        pytest.param("woman", 0.0, marks=pytest.mark.slow), pytest.param("man", 1.0, marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
 def test_straps_and_waists_lie_far_on_either_side_of_the_limit(body, weight):
     wearer = load_body(body, {"height": 0.0, "weight": weight})  # the least area of straps, and hips that face up most
     rest = RestBody.of(wearer)

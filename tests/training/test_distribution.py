@@ -47,6 +47,7 @@ def losses(mine: Workers) -> tuple[list[float], torch.Tensor]:
     return totals.values, torch.cat([p.detach().reshape(-1) for p in trainer.model.parameters()])
 
 
+@pytest.mark.slow
 def test_two_processes_have_the_losses_of_one(tmp_path: Path) -> None:
     with workers("cpu") as alone:  # first, so that the others need not compile its kernels at the same time
         expected, weights = losses(alone)
