@@ -27,10 +27,11 @@ QUICK = (
 )  # fmt: skip
 
 
-@pytest.fixture
-def pack(tmp_path: Path) -> Path:
-    save_training_data(ball_data((8,)), tmp_path / "pack.npz")
-    return tmp_path / "pack.npz"
+@pytest.fixture(scope="module")
+def pack(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("pack") / "pack.npz"
+    save_training_data(ball_data((8,)), path)
+    return path
 
 
 def test_a_training_leaves_weights_a_curve_and_a_way_to_go_on(pb4u: Call, pack: Path, tmp_path: Path) -> None:

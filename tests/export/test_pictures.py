@@ -199,7 +199,7 @@ def test_a_film_slower_than_encoders_hold_is_refused_before_it_is_drawn(
 ) -> None:
     monkeypatch.setattr("pb4u.export.still_renderer.StillRenderer", None)
     slow = replace(trajectory, header=replace(trajectory.header, fps=0.001))
-    with pytest.raises(InputError, match=r"0\.002 frames per second or more, not 0\.001"):
+    with pytest.raises(InputError, match=r"0\.002 .*0\.001"):
         export(slow, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 

@@ -153,7 +153,7 @@ def test_usd_without_its_extra_is_refused_in_one_sentence(
 ) -> None:
     monkeypatch.setitem(sys.modules, "pxr", None)
     monkeypatch.delitem(sys.modules, "pxr.Usd", raising=False)
-    with pytest.raises(MissingExtraError, match=r'"usd" extra: pip install "pb4u\[usd\]"'):
+    with pytest.raises(MissingExtraError, match=r"pb4u\[usd\]"):
         export(trajectory, tmp_path / f"walk{suffix}")
     assert list(tmp_path.iterdir()) == []
 

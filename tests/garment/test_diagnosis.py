@@ -56,7 +56,7 @@ def test_what_nothing_holds_up_is_a_hint_and_no_damage(woman):
         "Nothing holds the garment up: none of it lies on the shoulders; it would slide down to the ground."
     )
     assert "`--pins waist`" in hint.fix
-    with pytest.warns(InputWarning, match=r"^tube: Nothing holds the garment up.*; simulate it with `--pins waist`\.$"):
+    with pytest.warns(InputWarning, match=r"^tube: .*`--pins waist`"):
         require_worn(garment, woman, FILE, found_support(garment, woman))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -148,7 +148,7 @@ def test_a_garment_wholly_inside_is_refused(woman):
 def test_the_cure_is_for_the_body_that_wears_the_garment():
     body = load_body("woman", {"weight": 0.9, "height": 0.5})
     low = tube_garment(low=0.95, high=1.05, radius=0.17)
-    with pytest.warns(InputWarning, match=r"`pb4u check mine\.obj --body-shape weight=0\.9 --fix OUT\.obj`"):
+    with pytest.warns(InputWarning, match=r"--body-shape weight=0\.9 --fix OUT\.obj"):
         require_worn(low, body, "mine.obj", None)
     assert "--body-shape weight=0.9 --fix" in finding(diagnose(low, body), "penetration").fix
 

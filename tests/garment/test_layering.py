@@ -95,7 +95,7 @@ def test_what_is_tucked_in_goes_beneath_what_is_worn_from_the_waist() -> None:
     assert worn_order([trousers, shirt, coat], [False, True, False]) == [1, 0, 2]
     assert worn_order([coat, trousers, shirt], [False, False, True]) == [0, 2, 1]
     assert worn_order([shirt, trousers, coat], [True, False, False]) == [0, 1, 2]
-    with pytest.raises(InputError, match="shirt cannot be tucked in: no other garment has its upper edge at its waist"):
+    with pytest.raises(InputError, match=r"^shirt .*tucked in"):
         worn_order([shirt, coat], [True, False])
 
 
@@ -137,7 +137,7 @@ def test_two_garments_of_one_name_are_told_apart() -> None:
     garments = [replace(tube, name="x") for tube in tubes((0.25, 0.25))]
     garments = [garment.with_pins(np.ones(len(garment.vertices), dtype=bool)) for garment in garments]
     garments[1] = replace(garments[1], vertices=garments[1].vertices + [0.1, 0.0, 0.0])
-    with pytest.raises(InputError, match=r"x and x \(2\) cross in \d+ pairs .* wear them in another order"):
+    with pytest.raises(InputError, match=r"x and x \(2\) cross in \d+ pairs"):
         untangled_start(garments, np.concatenate([garment.vertices for garment in garments]))
 
 
@@ -146,5 +146,5 @@ def test_a_garment_that_crosses_itself_by_its_pins_is_refused() -> None:
     crossed = garment.vertices.copy()
     crossed[:, 0] *= np.where(crossed[:, 1] > 0.6, -1.0, 1.0)
     garment = garment.with_pins(np.ones(len(crossed), dtype=bool))
-    with pytest.raises(InputError, match=r"tube 0 crosses itself in \d+ pairs .*; mend it where it was made, or"):
+    with pytest.raises(InputError, match=r": tube 0 crosses itself in \d+ pairs"):
         untangled_start([garment], crossed)

@@ -34,10 +34,7 @@ def source_of(garment):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=[] if name in ("tshirt", "skirt", "cardigan") else [pytest.mark.slow])
-        for name in garment_names()
-    ],
+    [pytest.param(name, marks=[] if name in ("tanktop", "skirt") else [pytest.mark.slow]) for name in garment_names()],
 )
 def test_what_is_pinned_is_told_once_a_file_has_lost_its_pins(name, woman, tmp_path):
     built = build_garment(name, woman, 600)
@@ -63,10 +60,10 @@ def test_what_holds_a_garment_up_is_looked_for_once(woman, tmp_path, monkeypatch
 @pytest.mark.parametrize(
     ("body", "weight"),
     [
-        ("woman", 1.0), ("man", 0.0),
-        pytest.param("woman", 0.0, marks=pytest.mark.slow), pytest.param("man", 1.0, marks=pytest.mark.slow),
+        ("woman", 1.0),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in (("woman", 0.0), ("man", 0.0), ("man", 1.0))),
     ],
-)  # fmt: skip
+)
 def test_straps_and_waists_lie_far_on_either_side_of_the_limit(body, weight):
     wearer = load_body(body, {"height": 0.0, "weight": weight})  # the least area of straps, and hips that face up most
     rest = RestBody.of(wearer)
@@ -123,7 +120,7 @@ def test_a_waistband_and_straps_are_found_as_what_holds(woman):
     assert find_support(leg, skirt.faces, rest).held is None
 
 
-@pytest.mark.parametrize("body", ["woman", "man"])
+@pytest.mark.parametrize("body", ["woman", pytest.param("man", marks=pytest.mark.slow)])
 def test_the_collar_of_an_open_front_is_found_where_the_built_in_one_is_pinned(body):
     wearer = load_body(body)
     rest = RestBody.of(wearer)
@@ -146,7 +143,7 @@ def strapped(body, gap):
     return PolygonMesh(top.vertices[used], tuple(faces.reshape(-1, 3)))
 
 
-@pytest.mark.parametrize("gap", [0.02, 0.05])
+@pytest.mark.parametrize("gap", [0.02, pytest.param(0.05, marks=pytest.mark.slow)])
 def test_straps_that_end_unsewn_hold_nothing_and_are_sewn_where_they_end_near(woman, gap, tmp_path):
     source, rest = strapped(woman, gap), RestBody.of(woman)
     faces = np.stack(source.polygons)
@@ -170,9 +167,9 @@ def test_straps_that_end_unsewn_hold_nothing_and_are_sewn_where_they_end_near(wo
     assert find_support(sewn.vertices, sewn.faces, rest).name == "straps"
     # It is said before a simulation, and no more once they are sewn.
     file = saved(tmp_path, source, "top.obj")
-    with pytest.warns(InputWarning, match="Nothing holds the garment up: 2 of its straps end loose"):
+    with pytest.warns(InputWarning, match="2 of its straps"):
         load_garment(WornGarment(file), woman)
-    with pytest.warns(InputWarning, match="its straps, .* vertices, was found and holds it"):
+    with pytest.warns(InputWarning, match=r"straps, .* vertices"):
         load_garment(WornGarment(file, tacks=found.tacks), woman)
 
 
