@@ -298,6 +298,7 @@ def test_a_signal_leaves_the_frames(
     assert [p.name for p in tmp_path.iterdir()] == ["a.interrupted.npz"]
 
 
+@pytest.mark.slow
 def test_a_process_that_is_ended_leaves_the_frames_and_nothing_else(tmp_path: Path) -> None:
     number = signal.SIGTERM
     flags = ["simulate", "--triangles", "1000", "--lead-in", "0", "--frames", "5000", "--model", "skinning"]

@@ -17,7 +17,6 @@ SENTENCES = {
     "simulate --garment absent.obj": "There is no garment file absent.obj.",
     "simulate --garment cut.obj": 'cut.obj line 4: face "f 1 2 9" names a vertex out of range, the file has 3; '
     "export it again.",
-    "simulate --body womn": "There is no body 'womn'; did you mean woman? There are woman, man.",
     "simulate --body-shape tallness=1": 'The body "woman" has no shape parameter "tallness": its shape parameters are '
     "height (0 to 1), weight (0 to 1), muscle (0 to 1).",
     "simulate --motion wlak": "There is no motion 'wlak'; did you mean walk? There are walk, run, jump, arms, twist, "
