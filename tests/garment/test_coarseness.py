@@ -39,7 +39,9 @@ def test_cloth_that_hangs_off_the_skin_is_not_looked_at():
     assert Coarseness.of(skirt.vertices, np.stack(skirt.polygons), limb()).degrees == 0.0
 
 
-@pytest.mark.parametrize("name", ["dress", "longsleeve", "trousers"])
+@pytest.mark.parametrize(
+    "name", ["trousers", *(pytest.param(name, marks=pytest.mark.slow) for name in ("dress", "longsleeve"))]
+)
 def test_a_garment_that_would_be_lost_is_refused_with_a_number_that_is_enough(name, woman):
     with pytest.raises(InputError, match=f"{name}: Its .*too few .*`--triangles") as refused:
         make_scene(name, woman, triangles=200, frames=1)

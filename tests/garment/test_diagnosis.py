@@ -64,6 +64,7 @@ def test_what_nothing_holds_up_is_a_hint_and_no_damage(woman):
     assert diagnose(garment.with_pins(resolve_pins("waist", garment)), woman).codes == ()
 
 
+@pytest.mark.slow
 def test_support_is_looked_for_where_the_garment_belongs(woman):
     shirt = build_garment("tshirt", woman, 1200)
     low = PolygonMesh(100.0 * (shirt.vertices - [0.0, woman.lift, 0.0]), tuple(shirt.faces))
@@ -250,6 +251,7 @@ def test_an_uneven_and_coarse_garment_is_told_one_number_of_triangles(woman):
     assert finding(diagnosis, "graded").fix == coarse.fix
 
 
+@pytest.mark.slow
 def test_a_garment_made_for_the_other_body_names_it(woman):
     man = load_body("man")
     garment = build_garment("longsleeve", man, 1500)

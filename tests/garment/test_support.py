@@ -47,6 +47,7 @@ def test_what_is_pinned_is_told_once_a_file_has_lost_its_pins(name, woman, tmp_p
     assert set(diagnose(built, woman).codes) <= {"coarse"}
 
 
+@pytest.mark.slow
 def test_what_holds_a_garment_up_is_looked_for_once(woman, tmp_path, monkeypatch):
     looked, asked = support._closing, []
     monkeypatch.setattr(support, "_closing", lambda *given: asked.append(1) or looked(*given))
@@ -182,6 +183,7 @@ def test_how_far_it_slides_is_told_by_where_the_body_is_wider(woman):
     assert slide(wide, skirt.faces, rest) is None
 
 
+@pytest.mark.slow
 def test_a_strap_that_ends_upon_a_panel_is_sewn_to_it(woman):
     """The straps let down over the back, 1 cm outside of it, so that they end within the panel."""
     source, rest = strapped(woman, 0.02), RestBody.of(woman)

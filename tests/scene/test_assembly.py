@@ -40,7 +40,7 @@ def exported(name: str, body: ShapedBody, folder: Path) -> Path:
     return saved(folder, PolygonMesh(garment.vertices, tuple(garment.faces)), f"{name}.obj")
 
 
-@pytest.mark.parametrize("name", ["skirt", "trousers"])
+@pytest.mark.parametrize("name", ["skirt", pytest.param("trousers", marks=pytest.mark.slow)])
 def test_the_waistband_of_a_file_is_found_and_holds_it(name: str, woman: ShapedBody, tmp_path: Path) -> None:
     file = exported(name, woman, tmp_path)
     with pytest.warns(InputWarning, match=rf"^{name}: its waistband, \d+ vertices") as told:

@@ -359,7 +359,7 @@ def test_a_stop_within_a_round_goes_on_from_its_beginning(tmp_path: Path, checks
     assert all(torch.equal(value, resumed.learner.state()[name]) for name, value in whole.learner.state().items())
 
 
-@pytest.mark.parametrize("interleaved", [1, 2])
+@pytest.mark.parametrize("interleaved", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_stopped_training_goes_on_to_the_same_numbers(tmp_path: Path, interleaved: int) -> None:
     configuration = replace(
         TINY, checkpoint_every=5, statistics_windows=2, validation_frames=2, interleaved=interleaved
