@@ -32,7 +32,7 @@ SENTENCES = {
     "simulate --triangles 10": "A built-in garment has between 200 and 200000 triangles, not 10.",
     "simulate --out absent/a.npz": "The folder absent does not exist; make it first.",
     "simulate --out a.xyz": ".xyz is not a format that is written; end the name of the file in one of .npz, .obj, "
-    ".pc2, .mdd, .abc, .usdc, .usda, .usdz, .pkl, .glb, .png, .jpg, .gif, .mp4.",
+    ".pc2, .mdd, .abc, .usdc, .usda, .usdz, .glb, .png, .jpg, .gif, .mp4, .pkl.",
     "simulate scene.toml": "scene.toml: [run] has no entry 'frams'; there are model, refine, contact, self_contact, "
     "propagation_steps, passes, device, precision, first_frame.",
     "simulate absent.toml": "There is no scene file absent.toml.",
