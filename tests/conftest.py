@@ -26,7 +26,7 @@ LONGEST_FIRST = (
     "docs/test_documented_commands.py", "release/test_wheel.py", "dataset/test_dataset_run.py",
     "golden/test_equal_results.py", "cli/test_evaluate.py", "training/test_never_lost.py",
     "training/test_device_training.py", "training/test_distribution.py", "fuzzing/test_readers.py",
-    "export/test_bones_in_a_browser.py", "paper/test_networks.py",
+    "export/test_bones_in_a_browser.py", "training/test_trainer.py",
 )  # fmt: skip
 """Files that a worker begins with, so that none waits for another's at the end. The first compiles no kernels: while it
 is checked, the other worker compiles those that both need."""
@@ -42,6 +42,12 @@ def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginMa
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     order = {Path(__file__).parent / name: number for number, name in enumerate(LONGEST_FIRST)}
     items.sort(key=lambda item: order.get(item.path, len(order)))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    slow = [item for item in terminalreporter.stats.get("deselected", []) if item.get_closest_marker("slow")]
+    if slow:
+        terminalreporter.write_line(f"Slow tests left out, which -m slow runs: {len(slow)}.")
 
 
 def pytest_collection_finish() -> None:

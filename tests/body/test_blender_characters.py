@@ -18,6 +18,7 @@ from tests.body.characters import write_woman
 from pb4u.body.character import Character, PosedCharacter
 from pb4u.body.library import load_body
 
+pytestmark = pytest.mark.slow
 PYTHON = os.environ.get("PB4U_BLENDER_PYTHON", sys.executable)
 
 _SHOW = """

@@ -80,7 +80,7 @@ def test_hair_and_eyes_are_left_out_and_can_be_chosen(woman_file):
     assert "left out of the body: Hair, EyeIris; --body-parts chooses" in body.notes[0]
     both = loaded(woman_file, parts=("Skin", "Hair"))
     assert len(both.source_vertices) > len(body.source_vertices)
-    with pytest.raises(InputError, match='has no mesh or material "Torso"; it has Body0, EyeIris, Eyes'):
+    with pytest.raises(InputError, match=r'"Torso".*Body0'):
         load_body(woman_file, parts=("Torso",))
 
 
@@ -175,7 +175,7 @@ def test_a_lead_in_that_an_uneven_scale_shears_is_refused(tmp_path):
 
     body = load_body(write_woman(tmp_path / "woman.glb", change=tilted))
     poses = body.clip_poses(30.0, 3)
-    with pytest.raises(InputError, match=r"a node is sheared.*--lead-in 0"):
+    with pytest.raises(InputError, match=r"sheared.*--lead-in 0"):
         character_lead_in(body, poses, 30.0, 2)
     assert len(character_lead_in(body, poses, 30.0, 0)) == 3
 
@@ -333,21 +333,21 @@ def test_what_cannot_be_used_is_refused(tmp_path, woman_file, change, sentence):
 
 
 def test_a_clip_that_is_not_there_is_refused(woman_file, tmp_path):
-    with pytest.raises(InputError, match='has no clip "run"; it has arms, walk'):
+    with pytest.raises(InputError, match=r'"run".*arms, walk'):
         load_body(woman_file, clip="run")
-    with pytest.raises(InputError, match='has no clip "run"; it has none'):
+    with pytest.raises(InputError, match='"run"'):
         load_body(write_woman(tmp_path / "a.glb", clips=()), clip="run")
 
 
 def test_a_clip_or_parts_of_another_body_are_refused():
-    with pytest.raises(InputError, match=r"woman is no rigged character .*; leave out --clip"):
+    with pytest.raises(InputError, match="--clip"):
         load_body("woman", clip="walk")
     with pytest.raises(InputError, match="leave out --body-parts"):
         load_body("woman", parts=("Skin",))
 
 
 def test_a_shape_is_refused(woman_file):
-    with pytest.raises(InputError, match="a character without shape parameters; leave out height"):
+    with pytest.raises(InputError, match="height"):
         load_body(woman_file, {"height": 0.5})
 
 

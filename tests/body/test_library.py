@@ -29,7 +29,7 @@ def test_unknown_names_list_near_ones(name: str, near: str) -> None:
 
 
 def test_an_absent_file_is_named() -> None:
-    with pytest.raises(InputError, match=r'no body file "nowhere/body\.npz"'):
+    with pytest.raises(InputError, match=r"nowhere/body\.npz"):
         load_body("nowhere/body.npz")
 
 
@@ -43,7 +43,7 @@ def test_unknown_kinds_of_file_are_refused(tmp_path: Path) -> None:
 
 
 def test_shape_parameters_are_validated(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no shape parameter \"tallness\".*height \(0 to 1\)"):
+    with pytest.raises(InputError, match=r'"tallness".*height'):
         load_body("woman", {"tallness": 0.5})
     with pytest.raises(InputError, match="give 0 to 1"):
         load_body("woman", {"weight": -0.1})
@@ -62,13 +62,13 @@ def test_a_body_whose_extra_is_not_installed_is_not_offered(monkeypatch: pytest.
 
 @pytest.mark.parametrize("height", [1.9, 190.0])
 def test_a_height_in_metres_is_refused_with_the_share_that_it_is(height: float) -> None:
-    with pytest.raises(InputError, match=r"not a length; 1\.90 m is height=") as refused:
+    with pytest.raises(InputError, match=r"1\.90 m.*height=") as refused:
         load_body("woman", {"height": height, "weight": 0.3})
     share = float(str(refused.value).rstrip(".").rpartition("=")[2])
     body = load_body("woman", {"height": share, "weight": 0.3})
     assert isinstance(body, ShapedBody)
     assert body.height == pytest.approx(1.9, abs=0.01)
-    with pytest.raises(InputError, match=r"it is 1\.22 to 2\.31 m tall"):
+    with pytest.raises(InputError, match=r"1\.22 to 2\.31 m"):
         load_body("woman", {"height": 2.9})
     with pytest.raises(InputError, match="is 5; give 0 to 1"):
         load_body("woman", {"height": 5.0})

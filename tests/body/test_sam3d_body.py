@@ -79,16 +79,16 @@ def test_a_rate_in_the_files_is_taken(tmp_path, fps, stored):
 @pytest.mark.parametrize("fps", ["fast", [24.0, 25.0], 0.0])
 def test_a_rate_that_is_none_is_refused(tmp_path, fps):
     write_frames(tmp_path / "sam", frames(3), faces=BODY.faces, fps=fps)
-    with pytest.raises(InputError, match=r'"fps" that is no number|positive frame rate'):
+    with pytest.raises(InputError, match=r'"fps"|frame rate'):
         load_body(tmp_path / "sam")
 
 
 def test_what_is_missing_is_told(tmp_path):
     write_frames(tmp_path / "sam", frames(2))
-    with pytest.raises(InputError, match=r"has no faces: put the estimator's beside it"):
+    with pytest.raises(InputError, match="no faces"):
         load_body(tmp_path / "sam")
     np.savez(tmp_path / "sam/frame_1.npz", pred_vertices=np.zeros((5, 3), dtype=np.float32))
-    with pytest.raises(InputError, match=r"frame_1\.npz has 5 vertices and frame_0\.npz"):
+    with pytest.raises(InputError, match=r"frame_1\.npz.* 5 .*frame_0\.npz"):
         load_body(tmp_path / "sam")
     np.savez(tmp_path / "sam/frame_1.npz", other=np.zeros(2))
     with pytest.raises(InputError, match='has no "pred_vertices"'):

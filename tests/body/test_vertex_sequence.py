@@ -270,7 +270,7 @@ def test_an_npz_that_hides_objects_is_refused(tmp_path: Path, box: tuple[np.ndar
 
 def test_an_open_body_is_warned_of(tmp_path: Path, box: tuple[np.ndarray, np.ndarray]) -> None:
     write_vertex_sequence(tmp_path / "body.npz", box[0], box[1][:-1], 30.0)
-    with pytest.warns(InputWarning, match="not closed, so penetration is not reported") as told:
+    with pytest.warns(InputWarning, match="penetration") as told:
         body = load_vertex_sequence(tmp_path / "body.npz")
     assert not body.is_closed
     assert told[0].filename == __file__
@@ -291,7 +291,7 @@ def test_a_body_that_leaps_is_warned_of(tmp_path: Path, box: tuple[np.ndarray, n
     still = np.repeat(box[0][:1], 6, axis=0)
     still[4:] += [1.0, 0.0, 0.0]
     write_vertex_sequence(tmp_path / "leap.npz", still, box[1], 30.0)
-    with pytest.warns(InputWarning, match=r"leaps 1 time\(s\), farthest by 1.0 m from frame 3 to 4; cloth cannot"):
+    with pytest.warns(InputWarning, match=r"1 time.*1\.0 m from frame 3 to 4"):
         load_vertex_sequence(tmp_path / "leap.npz")
 
 
@@ -302,10 +302,10 @@ def test_a_huge_body_is_refused_before_it_is_parsed(
     path.write_bytes(b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + b"f 1 2 3\n" * 1_000_001)
     monkeypatch.setattr("pb4u.geometry.obj_file.read_obj", lambda _: pytest.fail("the file was parsed"))
     for asked in (path, tmp_path):
-        with pytest.raises(InputError, match=r"scan\.obj has 1,000,001 triangles or more.*decimate it"):
+        with pytest.raises(InputError, match=r"scan\.obj .*1,000,001"):
             load_vertex_sequence(asked)
     np.savez(tmp_path / "scan.npz", positions=box[0], faces=np.tile(box[1], (100_000, 1)), fps=30.0)
-    with pytest.raises(InputError, match=r"scan\.npz has 1,200,000 triangles"):
+    with pytest.raises(InputError, match=r"scan\.npz .*1,200,000"):
         load_vertex_sequence(tmp_path / "scan.npz")
 
 
@@ -338,6 +338,6 @@ def test_a_broken_obj_is_refused(line: str, tmp_path: Path, box: tuple[np.ndarra
 def test_centimetres_are_told_by_the_size_of_a_person(tmp_path):
     box = trimesh.creation.box((0.5, 1.7, 0.3))
     write_vertex_sequence(tmp_path / "mhr.npz", 100.0 * np.stack([box.vertices] * 2), box.faces, 30.0)
-    with pytest.warns(InputWarning, match="it measures 170, so it is taken to be in centimetres"):
+    with pytest.warns(InputWarning, match=r"170.*centimetres"):
         sequence = load_vertex_sequence(tmp_path / "mhr.npz")
     assert np.ptp(sequence.positions(0, 1).numpy(), axis=1).max() == pytest.approx(1.7)

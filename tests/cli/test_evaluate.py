@@ -22,6 +22,7 @@ def results_in(folder: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in folder.glob("jobs/*.json")}
 
 
+@pytest.mark.slow
 def test_killed_in_mid_run_it_goes_on_where_it_was(pb4u: Callable, tmp_path: Path) -> None:
     out = tmp_path / "run"
     call = ("evaluate", *TINY, "--motions", "walk,jump,turn,dance", "--out", out)

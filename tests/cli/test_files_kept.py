@@ -298,6 +298,7 @@ def test_a_signal_leaves_the_frames(
     assert [p.name for p in tmp_path.iterdir()] == ["a.interrupted.npz"]
 
 
+@pytest.mark.slow
 def test_a_process_that_is_ended_leaves_the_frames_and_nothing_else(tmp_path: Path) -> None:
     number = signal.SIGTERM
     flags = ["simulate", "--triangles", "1000", "--lead-in", "0", "--frames", "5000", "--model", "skinning"]
@@ -316,6 +317,7 @@ def test_a_process_that_is_ended_leaves_the_frames_and_nothing_else(tmp_path: Pa
     assert [p.name for p in tmp_path.iterdir()] == ["a.interrupted.npz"]
 
 
+@pytest.mark.slow
 def test_what_a_kill_leaves_the_next_run_sweeps(
     pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -336,6 +338,7 @@ def long_clip() -> Trajectory:
     return SkinningSimulator().simulate(make_scene("tshirt", triangles=1000, frames=90, lead_in=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_conversion_that_is_ended_leaves_no_part_of_a_file(
     tmp_path: Path, pb4u: Callable, long_clip: Trajectory, number: signal.Signals

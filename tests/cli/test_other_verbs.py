@@ -178,6 +178,7 @@ def test_what_stays_after_a_mend_is_said_and_ends_with_1(pb4u: Callable, tmp_pat
     assert not (tmp_path / "m.obj").exists()
 
 
+@pytest.mark.slow
 def test_what_a_mended_file_is_without_is_said(pb4u: Callable, tmp_path: Path) -> None:
     file = saved(tmp_path, triangle_tube(low=0.6, high=1.0, radius=0.22))
     plain = pb4u("check", file, "--fix", tmp_path / "m.obj", "--json", "-")
@@ -306,6 +307,7 @@ def test_check_of_a_built_in_garment_finds_nothing_refusable(pb4u: Callable) -> 
     assert pb4u("check").code == 1
 
 
+@pytest.mark.slow
 def test_check_of_an_outfit_says_what_crosses_as_made_and_as_worn(pb4u: Callable, tmp_path: Path) -> None:
     outfit = ("--garment", "tanktop", "--garment", "cardigan", "--triangles", 600)
     ended = pb4u("check", *outfit, "--json", tmp_path / "r.json")

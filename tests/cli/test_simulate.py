@@ -238,6 +238,7 @@ def moving_body(pb4u: Callable, tmp_path: Path) -> Path:
     return tmp_path / "moving.npz"
 
 
+@pytest.mark.slow
 def test_a_sequence_of_vertices_takes_no_motion_crop_or_pose(pb4u: Callable, moving_body: Path, tmp_path: Path) -> None:
     call = ("simulate", "--garment", tmp_path / "dress.obj", "--body", moving_body, *SMALL[2:])
     for flags in (("--crop", "0:2"), ("--arms-away", 8)):
@@ -267,7 +268,7 @@ def test_a_moving_body_given_as_motion_is_told_apart(pb4u: Callable, moving_body
     )
 
 
-@pytest.mark.parametrize("json_flag", [(), ("--json", "r.json")])
+@pytest.mark.parametrize("json_flag", [(), pytest.param(("--json", "r.json"), marks=pytest.mark.slow)])
 def test_a_run_that_diverged_is_written_and_warned_of(
     pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, json_flag: tuple[str, ...]
 ) -> None:

@@ -27,10 +27,11 @@ QUICK = (
 )  # fmt: skip
 
 
-@pytest.fixture
-def pack(tmp_path: Path) -> Path:
-    save_training_data(ball_data((8,)), tmp_path / "pack.npz")
-    return tmp_path / "pack.npz"
+@pytest.fixture(scope="module")
+def pack(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("pack") / "pack.npz"
+    save_training_data(ball_data((8,)), path)
+    return path
 
 
 def test_a_training_leaves_weights_a_curve_and_a_way_to_go_on(pb4u: Call, pack: Path, tmp_path: Path) -> None:
@@ -51,6 +52,7 @@ def test_a_training_leaves_weights_a_curve_and_a_way_to_go_on(pb4u: Call, pack: 
     assert "Trained 8 steps." in further.out
 
 
+@pytest.mark.slow
 def test_a_flat_training_goes_on_with_a_larger_budget(pb4u: Call, pack: Path, tmp_path: Path) -> None:
     run, flat = tmp_path / "run", ("--set", "curriculum.learning_rate=1e-12", "--set", "patience=1")
     begun = ("--pack", pack, "--preset", "smoke", "--steps", 60, "--out", run, *QUICK, *flat)
@@ -85,6 +87,7 @@ def test_a_training_begins_with_given_weights_and_says_so(pb4u: Call, pack: Path
     assert load_checkpoint(second / "final.safetensors").record.optimiser_steps == 9
 
 
+@pytest.mark.slow
 def test_weights_of_ones_own_data_have_no_licence_of_ours_and_say_what_they_learnt(
     pb4u: Call, pack: Path, tmp_path: Path
 ) -> None:
@@ -214,6 +217,7 @@ def test_packs_that_cannot_be_made_are_refused(
     assert not (tmp_path / "pack.npz").exists()
 
 
+@pytest.mark.slow
 def test_a_folder_without_its_data_makes_it_again(pb4u: Call, tmp_path: Path) -> None:
     run = tmp_path / "run"
     assert pb4u("train", "--preset", "smoke", "--steps", "2", "--out", run).code == 0

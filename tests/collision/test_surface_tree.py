@@ -16,6 +16,9 @@ SURFACES = {
     "nested": nested(4e-3),
     "worlds": stack(4, 1e-3, cells=4, worlds=(0, 0, 1, 1)),
 }
+on_surfaces = pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "nested" else []) for name in SURFACES]
+)
 
 
 def keys(pairs: ElementPairs, rows: np.ndarray | None = None) -> set[tuple[bool, tuple[int, ...]]]:
@@ -73,7 +76,7 @@ def test_distances_are_those_of_the_ipc_toolkit() -> None:
 
 
 @pytest.mark.parametrize("name", SURFACES)
-@pytest.mark.parametrize("reach", [5e-4, 3e-3, 3e-2])
+@pytest.mark.parametrize("reach", [5e-4, pytest.param(3e-3, marks=pytest.mark.slow), 3e-2])
 def test_all_near_pairs_are_found_once(name: str, reach: float) -> None:
     surface = SURFACES[name]
     found = surface.tree.pairs(surface.before, reach)
@@ -108,7 +111,7 @@ def test_pairs_of_some_vertices_are_those_of_all_that_have_one(name: str) -> Non
     assert keys(some) == keys(every, among[every.corners].any(axis=1))
 
 
-@pytest.mark.parametrize("name", SURFACES)
+@on_surfaces
 def test_pairs_known_before_save_a_search_and_change_nothing(name: str) -> None:
     """Over several moves: small ones, one of a few vertices that go far, and one of all."""
     surface = SURFACES[name]
@@ -127,8 +130,8 @@ def test_pairs_known_before_save_a_search_and_change_nothing(name: str) -> None:
     assert seen[6] is seen[5]
 
 
-@pytest.mark.parametrize("name", SURFACES)
-@pytest.mark.parametrize("size", [2e-3, 0.03])
+@on_surfaces
+@pytest.mark.parametrize("size", [pytest.param(2e-3, marks=pytest.mark.slow), 0.03])
 def test_pairs_known_of_one_move_serve_another_that_ends_near(name: str, size: float) -> None:
     """As a move that is turned aside where cloth meets cloth, and one that starts where the first one ended."""
     surface = SURFACES[name]
@@ -148,7 +151,7 @@ def test_pairs_known_of_one_move_serve_another_that_ends_near(name: str, size: f
     assert served.neighbourhood is known.neighbourhood
 
 
-@pytest.mark.parametrize("name", SURFACES)
+@on_surfaces
 @pytest.mark.parametrize("aside", [0.0, 0.1])
 def test_cloth_that_strays_as_one_keeps_its_pairs(name: str, aside: float) -> None:
     """Carried by 30 cm and turned, every part of it `aside` in a direction of its own as well."""

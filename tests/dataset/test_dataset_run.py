@@ -234,7 +234,7 @@ def test_a_kill_while_shards_are_written_loses_nothing(tmp_path: Path, monkeypat
         os.replace(written, path)
 
     monkeypatch.setattr("pb4u.dataset.dataset_folder.move_into_place", killed)
-    with pytest.raises(Pb4uError, match="Stopped with 5 of 6 clips done"):
+    with pytest.raises(Pb4uError, match="5 of 6 clips"):
         make(runs(6), out, quick, 2)
     monkeypatch.undo()
     assert len(list((out / "clips").iterdir())) == 3
@@ -253,6 +253,7 @@ def test_a_kill_while_shards_are_written_loses_nothing(tmp_path: Path, monkeypat
     assert list((out / "clips").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_killed_worker_loses_nothing_and_nothing_is_made_twice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -269,6 +270,7 @@ def test_a_killed_worker_loses_nothing_and_nothing_is_made_twice(
     assert [path.read_bytes() for path in others] == [b"clip1", b"clip2"]
 
 
+@pytest.mark.slow
 def test_a_request_to_end_is_answered_as_before_while_ray_works_and_after() -> None:
     pytest.importorskip("ray", reason='needs the "ray" extra')
     asked: list[int] = []
@@ -301,7 +303,7 @@ def test_an_interrupt_keeps_what_is_done(tmp_path: Path) -> None:
             raise KeyboardInterrupt
         return quick(job)
 
-    with pytest.raises(Pb4uError, match="Stopped with 1 of 3 clips done; the same command goes on"):
+    with pytest.raises(Pb4uError, match="1 of 3 clips"):
         make(runs(3), tmp_path / "set", interrupted)
     assert make(runs(3), tmp_path / "set", quick)[1] == [1, 2]
 
@@ -319,7 +321,7 @@ def test_a_disk_that_is_too_small_is_refused_before_and_a_full_one_on_the_way(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(dataset_run.shutil, "disk_usage", lambda path: SimpleNamespace(free=65 * 2**20))
-    with pytest.raises(InputError, match=r"The clips take about [\d.]+ MB, and the disk of .* has 68.2 MB free"):
+    with pytest.raises(InputError, match=r"[\d.]+ MB.* 68\.2 MB free"):
         make(runs(3, frames=60), tmp_path / "set", quick)
     assert not list(tmp_path.glob("set/clips/*"))
     monkeypatch.undo()
@@ -331,7 +333,7 @@ def test_a_disk_that_is_too_small_is_refused_before_and_a_full_one_on_the_way(
 
     job_folder_write = job_folder.replace_file
     monkeypatch.setattr(job_folder, "replace_file", full)
-    with pytest.raises(Pb4uError, match="No space left on device; what is done is kept"):
+    with pytest.raises(Pb4uError, match="No space left"):
         make(runs(3), tmp_path / "set", quick)
 
 
@@ -344,9 +346,9 @@ def test_only_planned_nothing_is_made(tmp_path: Path) -> None:
 
 def test_other_folders_layouts_and_precisions_are_refused(tmp_path: Path) -> None:
     make(runs(1), tmp_path / "set", quick)
-    with pytest.raises(InputError, match="holds a dataset with format folder, not webdataset"):
+    with pytest.raises(InputError, match="format folder, not webdataset"):
         make(runs(1), tmp_path / "set", quick, 2)
-    with pytest.raises(InputError, match="with precision full, not half"):
+    with pytest.raises(InputError, match="precision full, not half"):
         make(runs(1), tmp_path / "set", quick, half=True)
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter.tex").write_text("...")

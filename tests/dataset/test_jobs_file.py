@@ -99,9 +99,9 @@ def test_what_cannot_be_used_is_one_sentence(tmp_path: Path, text: str, says: st
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no jobs file, whose name ends in \.toml"):
+    with pytest.raises(InputError, match=r"\.toml"):
         read_jobs(tmp_path / "jobs.json")
     with pytest.raises(InputError, match="There is no jobs file"):
         read_jobs(tmp_path / "jobs.toml")
-    with pytest.raises(InputError, match=r"no tables are read any more; write each row as a \[\[clips\]\] section"):
+    with pytest.raises(InputError, match=r"\[\[clips\]\]"):
         read_jobs(tmp_path / "jobs.csv")

@@ -173,10 +173,18 @@ def small_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 PAGES_THAT_RUN = sorted({block.page for block in blocks("console", "python")})
+SLOW_PAGES = (
+    "docs/guides/own_garment.md",
+    "docs/guides/outfits.md",
+    "docs/guides/datasets.md",
+    "docs/guides/own_body.md",
+)
 
 
 @pytest.mark.filterwarnings("ignore::pb4u.errors.InputWarning")
-@pytest.mark.parametrize("page", PAGES_THAT_RUN)
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, marks=[pytest.mark.slow] if page in SLOW_PAGES else []) for page in PAGES_THAT_RUN]
+)
 def test_the_page_runs_from_top_to_bottom(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], small_scenes: None
 ) -> None:

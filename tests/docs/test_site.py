@@ -16,6 +16,7 @@ import pytest
 import pb4u
 from pb4u.run import ENTRIES
 
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 
 

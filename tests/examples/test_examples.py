@@ -39,11 +39,9 @@ def example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
     return run
 
 
-def test_each_is_tested_and_short() -> None:
+def test_each_is_tested() -> None:
     tested = Path(__file__).read_text()
-    for file in sorted(EXAMPLES.glob("*.py")):
-        assert f'"{file.name}"' in tested
-        assert len(file.read_text().splitlines()) <= 80
+    assert [file.name for file in EXAMPLES.glob("*.py") if f'"{file.name}"' not in tested] == []
 
 
 def test_simulate_and_save(example: Run, tmp_path: Path) -> None:
@@ -53,6 +51,7 @@ def test_simulate_and_save(example: Run, tmp_path: Path) -> None:
     assert (tmp_path / "walk.glb").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pb4u.errors.InputWarning")
 def test_your_own_garment(example: Run, tmp_path: Path) -> None:
     mesh = quad_tube(low=0.6, high=1.0, radius=0.22)
@@ -65,6 +64,7 @@ def test_your_own_garment(example: Run, tmp_path: Path) -> None:
     assert read_obj(tmp_path / "mine.obj").vertices.max() > 50.0
 
 
+@pytest.mark.slow
 def test_recorded_motion(example: Run, tmp_path: Path) -> None:
     poses = np.zeros((90, 156))
     poses[:, [16 * 3 + 2, 17 * 3 + 2]] = -1.1, 1.1  # both arms down
@@ -77,6 +77,7 @@ def test_recorded_motion(example: Run, tmp_path: Path) -> None:
     assert Trajectory.open(tmp_path / "recorded.npz").frame_count == 6
 
 
+@pytest.mark.slow
 def test_choose_a_resolution(example: Run, tmp_path: Path) -> None:
     said = example("03_choose_a_resolution.py", "--triangles", 400, 900, "--frames", 3, "--model", "skinning")
     rows = [line.split() for line in said.splitlines()[2:]]
@@ -85,6 +86,7 @@ def test_choose_a_resolution(example: Run, tmp_path: Path) -> None:
     assert (tmp_path / "resolution_900.npz").is_file()
 
 
+@pytest.mark.slow
 def test_change_the_material(example: Run, tmp_path: Path) -> None:
     said = example("04_change_the_material.py", "--materials", "silk", "--model", "skinning", *TINY)
     masses = [float(line.split(":")[1].split("g")[0]) for line in said.splitlines()[1:]]
@@ -92,6 +94,7 @@ def test_change_the_material(example: Run, tmp_path: Path) -> None:
     assert Trajectory.open(tmp_path / "cloth_felt.npz").metadata["material"]["thickness"] == pytest.approx(2e-3)
 
 
+@pytest.mark.slow
 def test_compare_with_the_solver(example: Run, tmp_path: Path) -> None:
     said = example(
         "05_compare_with_the_solver.py", "--model", "skinning", "--triangles", 600, "--frames", 3, "--lead-in", 2
@@ -103,6 +106,7 @@ def test_compare_with_the_solver(example: Run, tmp_path: Path) -> None:
     assert Trajectory.open(tmp_path / "compared_model.npz").positions.shape == solver.positions.shape
 
 
+@pytest.mark.slow
 def test_into_blender(example: Run, tmp_path: Path) -> None:
     said = example("06_into_blender.py", "--model", "skinning", *TINY, "--garment", "skirt")
     lines = (tmp_path / "skirt_in_blender.py").read_text()
@@ -126,6 +130,7 @@ def test_scene_file(example: Run, tmp_path: Path) -> None:
     assert "pb4u simulate scene_wool.toml" in said
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pb4u.errors.InputWarning")
 def test_wear_an_outfit(example: Run, tmp_path: Path) -> None:
     said = example("12_wear_an_outfit.py", "--model", "skinning", *TINY)
@@ -146,6 +151,7 @@ def require_uncrossed(said: str, file: Path) -> Trajectory:
     return trajectory
 
 
+@pytest.mark.slow
 def test_cloth_in_folds(example: Run, tmp_path: Path) -> None:
     assert (EXAMPLES / "cloth_scenes.py").is_file()
     small = ("--triangles", 200, "--layers", 3, "--frames", 9)
@@ -156,6 +162,7 @@ def test_cloth_in_folds(example: Run, tmp_path: Path) -> None:
     assert len(self_crossings(free.positions[-1], free.faces)) > 100
 
 
+@pytest.mark.slow
 def test_twisted_sheet(example: Run, tmp_path: Path) -> None:
     small = ("--triangles", 160, "--frames", 30)
     trajectory = require_uncrossed(example("09_twisted_sheet.py", *small), tmp_path / "twisted.npz")
@@ -165,6 +172,7 @@ def test_twisted_sheet(example: Run, tmp_path: Path) -> None:
     assert width[-1] < 0.4 * width[0]
 
 
+@pytest.mark.slow
 def test_stack_of_sheets(example: Run, tmp_path: Path) -> None:
     small = ("--triangles", 72, "--sheets", 3, "--frames", 44)
     trajectory = require_uncrossed(example("10_stack_of_sheets.py", *small), tmp_path / "stack.npz")
@@ -177,6 +185,7 @@ def test_stack_of_sheets(example: Run, tmp_path: Path) -> None:
     assert (np.diff(tops) > 0).all()
 
 
+@pytest.mark.slow
 def test_through_a_ring(example: Run, tmp_path: Path) -> None:
     small = ("--triangles", 160, "--frames", 26, "--hole", 0.08)
     trajectory = require_uncrossed(example("11_through_a_ring.py", *small), tmp_path / "ring.npz")
@@ -186,6 +195,7 @@ def test_through_a_ring(example: Run, tmp_path: Path) -> None:
     assert pinned.sum() < below.sum()
 
 
+@pytest.mark.slow
 def test_reef_knot(example: Run, tmp_path: Path) -> None:
     small = ("--triangles", 120, "--width", 0.02, "--frames", 40)
     trajectory = require_uncrossed(example("13_reef_knot.py", *small), tmp_path / "knot.npz")
@@ -210,6 +220,7 @@ def require_clear(said: str, file: Path) -> Trajectory:
     return trajectory
 
 
+@pytest.mark.slow
 def test_on_a_spike(example: Run, tmp_path: Path) -> None:
     small = ("--triangles", 128, "--frames", 26, "--speed", 2)
     trajectory = require_clear(example("15_on_a_spike.py", *small), tmp_path / "spike.npz")
@@ -220,6 +231,7 @@ def test_on_a_spike(example: Run, tmp_path: Path) -> None:
     assert tips[-1] < tips[0] - 0.1, "which is pulled away"
 
 
+@pytest.mark.slow
 def test_sleeve_over_an_arm(example: Run, tmp_path: Path) -> None:
     small = ("--triangles", 200, "--frames", 30)
     trajectory = require_clear(example("16_sleeve_over_an_arm.py", *small), tmp_path / "sleeve.npz")
@@ -228,6 +240,7 @@ def test_sleeve_over_an_arm(example: Run, tmp_path: Path) -> None:
     assert worn[trajectory.header.pinned, 1].min() > 0.85, "round the elbow"
 
 
+@pytest.mark.slow
 def test_ball_against_a_sheet(example: Run, tmp_path: Path) -> None:
     small = ("--triangles", 200, "--frames", 20)
     said = example("17_ball_against_a_sheet.py", *small)
@@ -236,6 +249,7 @@ def test_ball_against_a_sheet(example: Run, tmp_path: Path) -> None:
     assert trajectory.positions[-1, :, 1].max() > 0.55, "though it was pushed on"
 
 
+@pytest.mark.slow
 def test_sew_a_skirt() -> None:
     names = runpy.run_path(str(EXAMPLES / "14_sew_a_skirt.py"), run_name="example")
     pattern = names["skirt"]()

@@ -76,6 +76,7 @@ def blender() -> str:
     return PYTHON
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".pc2", ".mdd", ".usdc", ".usdz", ".glb", ".abc"])
 def test_blender_shows_every_vertex_where_it_was(
     blender: str, trajectory: Trajectory, tmp_path: Path, suffix: str
@@ -105,6 +106,7 @@ def test_blender_shows_every_vertex_where_it_was(
         np.testing.assert_array_equal(shown["corner"], trajectory.faces.ravel())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fps", [24.0, 29.97, 60.0])
 def test_blender_shows_alembic_at_its_own_rate(
     blender: str, trajectory: Trajectory, tmp_path: Path, fps: float
@@ -115,6 +117,7 @@ def test_blender_shows_alembic_at_its_own_rate(
     np.testing.assert_allclose(shown["garment"], trajectory.positions, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_blender_plays_baked_bones(blender: str, trajectory: Trajectory, tmp_path: Path) -> None:
     said: list[str] = []
     path = export(trajectory, tmp_path / "bones.glb", say=said.append, bones=16)

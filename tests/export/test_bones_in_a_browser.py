@@ -21,7 +21,10 @@ from pb4u.scene.trajectory import Frame, Trajectory
 
 viser = pytest.importorskip("viser", reason='three.js comes with the "view" extra')
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium, which drives the browser, is not installed")
-pytestmark = pytest.mark.skipif(not (BROWSER and DRIVER), reason="there is no chromium with its chromedriver here")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not (BROWSER and DRIVER), reason="there is no chromium with its chromedriver here"),
+]
 
 FIELD, AWAY, MIDDLE = np.radians(30.0), 4.0, 0.8
 

@@ -92,9 +92,13 @@ def test_a_view_of_a_file_without_pictures_is_refused(convert: Convert, trajecto
     assert "holds no picture" in error
 
 
-@pytest.mark.parametrize("elevation", [0.0, 8.0, 50.0, 90.0])
-@pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize(("width", "height"), [(90, 160), (60, 200), (200, 60)])
+@pytest.mark.parametrize(
+    ("side", "elevation", "width", "height"),
+    [
+        ("front", 0.0, 90, 160), ("front", 90.0, 200, 60), ("back", 8.0, 200, 60), ("back", 50.0, 60, 200),
+        ("left", 8.0, 60, 200), ("left", 90.0, 90, 160), ("right", 0.0, 200, 60), ("right", 50.0, 90, 160),
+    ],
+)  # fmt: skip
 def test_the_whole_figure_is_in_the_picture_from_every_side(
     long_figure: Trajectory, side: str, elevation: float, width: int, height: int
 ) -> None:
@@ -195,7 +199,7 @@ def test_a_film_slower_than_encoders_hold_is_refused_before_it_is_drawn(
 ) -> None:
     monkeypatch.setattr("pb4u.export.still_renderer.StillRenderer", None)
     slow = replace(trajectory, header=replace(trajectory.header, fps=0.001))
-    with pytest.raises(InputError, match=r"0\.002 frames per second or more, not 0\.001"):
+    with pytest.raises(InputError, match=r"0\.002 .*0\.001"):
         export(slow, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 

@@ -93,9 +93,8 @@ def test_suffixes_may_be_in_capitals(trajectory: Trajectory, tmp_path: Path) -> 
     assert (tmp_path / "WALK.PC2").stat().st_size > 32
 
 
-@pytest.mark.parametrize("suffix", sorted(WRITERS))
+@pytest.mark.parametrize("suffix", [".npz", ".obj", ".glb"])
 def test_an_absent_folder_and_a_folder_in_the_way_are_refused(tmp_path: Path, suffix: str) -> None:
-    skip_without_usd(suffix)
     with pytest.raises(InputError, match="does not exist"):
         check_target(tmp_path / "absent" / f"walk{suffix}")
     (tmp_path / f"walk{suffix}").mkdir()
@@ -103,7 +102,13 @@ def test_an_absent_folder_and_a_folder_in_the_way_are_refused(tmp_path: Path, su
         check_target(tmp_path / f"walk{suffix}")
 
 
-@pytest.mark.parametrize("suffix", sorted(WRITERS))
+@pytest.mark.parametrize(
+    "suffix",
+    [
+        ".npz", ".obj", ".glb", ".png",
+        *(pytest.param(each, marks=pytest.mark.slow) for each in sorted({*WRITERS} - {".npz", ".obj", ".glb", ".png"})),
+    ],
+)  # fmt: skip
 def test_a_full_disk_leaves_nothing_and_is_told(
     trajectory: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
 ) -> None:
@@ -148,7 +153,7 @@ def test_usd_without_its_extra_is_refused_in_one_sentence(
 ) -> None:
     monkeypatch.setitem(sys.modules, "pxr", None)
     monkeypatch.delitem(sys.modules, "pxr.Usd", raising=False)
-    with pytest.raises(MissingExtraError, match=r'"usd" extra: pip install "pb4u\[usd\]"'):
+    with pytest.raises(MissingExtraError, match=r"pb4u\[usd\]"):
         export(trajectory, tmp_path / f"walk{suffix}")
     assert list(tmp_path.iterdir()) == []
 

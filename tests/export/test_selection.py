@@ -38,7 +38,7 @@ def test_frames_are_chosen_and_the_rate_follows(trajectory: Trajectory) -> None:
 
 @pytest.mark.filterwarnings("error")
 def test_a_range_beyond_the_end_is_warned_of(trajectory: Trajectory) -> None:
-    with pytest.warns(InputWarning, match="has 10 frames; of the range 7:100, 7:10 is there"):
+    with pytest.warns(InputWarning, match=r"10 frames.*7:100.*7:10"):
         assert select_frames(trajectory, (7, 100), 1).frame_count == 3
     assert select_frames(trajectory, (7, 10), 1).frame_count == 3
 

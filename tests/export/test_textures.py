@@ -78,7 +78,7 @@ def test_an_obj_brings_the_images_and_colours_of_its_mtl(tmp_path: Path) -> None
 def test_a_missing_image_is_said_and_leaves_its_colour(tmp_path: Path) -> None:
     file = shirt(tmp_path)
     (tmp_path / "check pattern.png").unlink()
-    with pytest.warns(InputWarning, match=r"shirt\.mtl: the image pattern\.png is missing"):
+    with pytest.warns(InputWarning, match=r"shirt\.mtl.*pattern\.png"):
         looks = read_obj(file).appearances
     assert looks is not None
     assert looks.listed[0] == Appearance("body", (0.1, 0.1, 0.1))

@@ -39,9 +39,11 @@ def test_cloth_that_hangs_off_the_skin_is_not_looked_at():
     assert Coarseness.of(skirt.vertices, np.stack(skirt.polygons), limb()).degrees == 0.0
 
 
-@pytest.mark.parametrize("name", ["dress", "longsleeve", "trousers"])
+@pytest.mark.parametrize(
+    "name", ["trousers", *(pytest.param(name, marks=pytest.mark.slow) for name in ("dress", "longsleeve"))]
+)
 def test_a_garment_that_would_be_lost_is_refused_with_a_number_that_is_enough(name, woman):
-    with pytest.raises(InputError, match=f"{name}: Its .* too few to stay around the body.*`--triangles") as refused:
+    with pytest.raises(InputError, match=f"{name}: Its .*too few .*`--triangles") as refused:
         make_scene(name, woman, triangles=200, frames=1)
     enough = int(re.findall(r"--triangles (\d+)", str(refused.value))[0])
     with warnings.catch_warnings():
@@ -50,7 +52,7 @@ def test_a_garment_that_would_be_lost_is_refused_with_a_number_that_is_enough(na
 
 
 def test_a_garment_through_which_skin_may_show_is_warned_of(woman):
-    with pytest.warns(InputWarning, match="cardigan: Its 9.. triangles are few .* skin or a limb may come through"):
+    with pytest.warns(InputWarning, match=r"cardigan: .* 9\d\d triangles"):
         make_scene("cardigan", woman, triangles=1000, frames=1)
 
 
@@ -67,7 +69,7 @@ def test_a_coarse_garment_of_somebodys_own_is_refused_by_check_and_by_simulate_a
 def test_a_coarse_garment_is_simulated_where_its_own_number_of_triangles_is_asked_for(tmp_path, woman):
     garment = build_garment("longsleeve", woman, 300)
     file = saved(tmp_path, PolygonMesh(garment.vertices, tuple(garment.faces)))
-    with pytest.raises(InputError, match=f"or take its own with `--triangles {garment.triangle_count}`"):
+    with pytest.raises(InputError, match=f"`--triangles {garment.triangle_count}`"):
         make_scene(file, woman, frames=1)
     with pytest.warns(InputWarning, match="too few to stay around the body"):
         scene = make_scene(file, woman, frames=1, triangles=garment.triangle_count)

@@ -56,7 +56,7 @@ def test_what_nothing_holds_up_is_a_hint_and_no_damage(woman):
         "Nothing holds the garment up: none of it lies on the shoulders; it would slide down to the ground."
     )
     assert "`--pins waist`" in hint.fix
-    with pytest.warns(InputWarning, match=r"^tube: Nothing holds the garment up.*; simulate it with `--pins waist`\.$"):
+    with pytest.warns(InputWarning, match=r"^tube: .*`--pins waist`"):
         require_worn(garment, woman, FILE, found_support(garment, woman))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -64,6 +64,7 @@ def test_what_nothing_holds_up_is_a_hint_and_no_damage(woman):
     assert diagnose(garment.with_pins(resolve_pins("waist", garment)), woman).codes == ()
 
 
+@pytest.mark.slow
 def test_support_is_looked_for_where_the_garment_belongs(woman):
     shirt = build_garment("tshirt", woman, 1200)
     low = PolygonMesh(100.0 * (shirt.vertices - [0.0, woman.lift, 0.0]), tuple(shirt.faces))
@@ -148,7 +149,7 @@ def test_a_garment_wholly_inside_is_refused(woman):
 def test_the_cure_is_for_the_body_that_wears_the_garment():
     body = load_body("woman", {"weight": 0.9, "height": 0.5})
     low = tube_garment(low=0.95, high=1.05, radius=0.17)
-    with pytest.warns(InputWarning, match=r"`pb4u check mine\.obj --body-shape weight=0\.9 --fix OUT\.obj`"):
+    with pytest.warns(InputWarning, match=r"--body-shape weight=0\.9 --fix OUT\.obj"):
         require_worn(low, body, "mine.obj", None)
     assert "--body-shape weight=0.9 --fix" in finding(diagnose(low, body), "penetration").fix
 
@@ -250,6 +251,7 @@ def test_an_uneven_and_coarse_garment_is_told_one_number_of_triangles(woman):
     assert finding(diagnosis, "graded").fix == coarse.fix
 
 
+@pytest.mark.slow
 def test_a_garment_made_for_the_other_body_names_it(woman):
     man = load_body("man")
     garment = build_garment("longsleeve", man, 1500)

@@ -100,6 +100,7 @@ def test_a_garment_moved_to_any_side_and_turned_is_put_back(body, shirt, moved, 
     np.testing.assert_allclose(fit.apply((shirt + np.array(moved)) @ AXES[axes]), shirt, atol=0.012)
 
 
+@pytest.mark.slow
 def test_a_garment_that_fits_nowhere_is_not_moved(woman, body):
     vertices, faces = tube_arrays(low=0.2, high=0.5, radius=0.9)
     fit = find_fit(vertices + np.array([2.0, 0.3, 0.0]), body)

@@ -33,7 +33,7 @@ def test_without_a_count_the_simulated_mesh_is_the_authors(tmp_path):
 
 def test_quads_are_cut_to_simulate_and_kept_in_the_source(tmp_path):
     mesh = quad_tube()
-    with pytest.warns(InputWarning, match="800 quads or n-gons are cut .* `pb4u convert --on source`"):
+    with pytest.warns(InputWarning, match=r"800 .*`pb4u convert --on source`"):
         garment = read_garment(saved(tmp_path, mesh), CLOTH)
     assert garment.triangle_count == 1600
     assert all(len(p) == 4 for p in garment.source.source.polygons)
@@ -82,7 +82,7 @@ def test_oddities_are_warned_of_and_left_out(tmp_path):
 
 def test_open_seams_and_turned_faces_are_said(tmp_path):
     mesh = triangle_tube()
-    with pytest.warns(InputWarning, match="21 border vertices lie on top of others.*weld them with"):
+    with pytest.warns(InputWarning, match="21 border vertices"):
         read_garment(saved(tmp_path, with_open_seam(mesh)), CLOTH)
     faces = np.stack(mesh.polygons)
     faces[5] = faces[5][::-1]
@@ -101,7 +101,7 @@ def test_other_units_are_refused_and_the_fix_is_named(tmp_path, scale, unit):
 
 def test_edges_of_three_faces_are_refused(tmp_path):
     mesh = triangle_tube()
-    with pytest.raises(InputError, match=r"1 edge\(s\) are shared by three or more faces, first 500-501"):
+    with pytest.raises(InputError, match=r"1 edge.*500-501"):
         read_garment(saved(tmp_path, with_faces(mesh, [[500, 501, 0]])), CLOTH)
 
 
@@ -147,7 +147,7 @@ def test_what_is_no_garment_file(tmp_path):
     with pytest.raises(InputError, match="There is no garment file"):
         read_garment(tmp_path / "absent.obj", CLOTH)
     (tmp_path / "cloth.fbx").write_bytes(b"")
-    with pytest.raises(InputError, match=r"those end in \.obj.* Blender"):
+    with pytest.raises(InputError, match=r"\.obj.*Blender"):
         read_garment(tmp_path / "cloth.fbx", CLOTH)
     (tmp_path / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\nelement face 7\n")
     with pytest.raises(InputError, match=r"broken.ply"):

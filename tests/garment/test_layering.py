@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,11 +27,14 @@ PAIRS = (
 """The nine pairs that people wear: under and over a waistband, sleeves in sleeves, a skirt over trousers."""
 
 
-@pytest.fixture(scope="module", params=["woman", "man"])
-def wardrobe(request: pytest.FixtureRequest) -> tuple[RestBody, dict[str, Garment]]:
-    """A body, and the garments of the pairs cut for it."""
-    body = load_body(request.param)
-    return RestBody.of(body), {name: build_garment(name, body, 1200) for name in sorted({n for p in PAIRS for n in p})}
+@cache
+def rest_of(body: str) -> RestBody:
+    return RestBody.of(load_body(body))
+
+
+@cache
+def cut_for(body: str, name: str) -> Garment:
+    return build_garment(name, load_body(body), 1200)
 
 
 def joined(places: tuple[np.ndarray, ...], garments: list[Garment]) -> tuple[np.ndarray, np.ndarray]:
@@ -44,11 +48,16 @@ def beneath(outer: np.ndarray, inner: np.ndarray, garment: Garment) -> np.ndarra
     return ((near.signed_distance < 0.0) & ~near.beyond_border).numpy()
 
 
-@pytest.mark.parametrize("names", PAIRS)
-def test_pairs_of_built_in_garments_are_laid_over_each_other(
-    wardrobe: tuple[RestBody, dict[str, Garment]], names: tuple[str, str]
-) -> None:
-    body, garments = wardrobe[0], [wardrobe[1][name] for name in names]
+@pytest.mark.parametrize(
+    ("names", "wearer"),
+    [
+        pytest.param(names, wearer, marks=[pytest.mark.slow] if (k + number) % 2 else [])
+        for k, names in enumerate(PAIRS)
+        for number, wearer in enumerate(("woman", "man"))
+    ],
+)
+def test_pairs_of_built_in_garments_are_laid_over_each_other(names: tuple[str, str], wearer: str) -> None:
+    body, garments = rest_of(wearer), [cut_for(wearer, name) for name in names]
     places = layered(garments, body)
     assert not len(self_crossings(*joined(places, garments), sharing=True))
     assert beneath(places[1], places[0], garments[0]).sum() <= 2
@@ -86,7 +95,7 @@ def test_what_is_tucked_in_goes_beneath_what_is_worn_from_the_waist() -> None:
     assert worn_order([trousers, shirt, coat], [False, True, False]) == [1, 0, 2]
     assert worn_order([coat, trousers, shirt], [False, False, True]) == [0, 2, 1]
     assert worn_order([shirt, trousers, coat], [True, False, False]) == [0, 1, 2]
-    with pytest.raises(InputError, match="shirt cannot be tucked in: no other garment has its upper edge at its waist"):
+    with pytest.raises(InputError, match=r"^shirt .*tucked in"):
         worn_order([shirt, coat], [True, False])
 
 
@@ -107,7 +116,7 @@ def test_an_outfit_that_cannot_be_parted_is_refused_by_name_count_and_place() ->
     assert said.endswith("wear them in another order, or simulate with --self-contact off.")
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 8))])
 def test_a_start_crosses_nowhere_or_is_refused(seed: int) -> None:
     rng = np.random.default_rng(seed)
     garments = tubes((0.25, 0.252))
@@ -128,7 +137,7 @@ def test_two_garments_of_one_name_are_told_apart() -> None:
     garments = [replace(tube, name="x") for tube in tubes((0.25, 0.25))]
     garments = [garment.with_pins(np.ones(len(garment.vertices), dtype=bool)) for garment in garments]
     garments[1] = replace(garments[1], vertices=garments[1].vertices + [0.1, 0.0, 0.0])
-    with pytest.raises(InputError, match=r"x and x \(2\) cross in \d+ pairs .* wear them in another order"):
+    with pytest.raises(InputError, match=r"x and x \(2\) cross in \d+ pairs"):
         untangled_start(garments, np.concatenate([garment.vertices for garment in garments]))
 
 
@@ -137,5 +146,5 @@ def test_a_garment_that_crosses_itself_by_its_pins_is_refused() -> None:
     crossed = garment.vertices.copy()
     crossed[:, 0] *= np.where(crossed[:, 1] > 0.6, -1.0, 1.0)
     garment = garment.with_pins(np.ones(len(crossed), dtype=bool))
-    with pytest.raises(InputError, match=r"tube 0 crosses itself in \d+ pairs .*; mend it where it was made, or"):
+    with pytest.raises(InputError, match=r": tube 0 crosses itself in \d+ pairs"):
         untangled_start([garment], crossed)

@@ -39,7 +39,7 @@ def test_a_sleeve_beside_its_arm_is_refused_in_one_sentence(woman, shirt):
     vertices[sleeve] = (vertices[sleeve] - shoulder) @ turn.T + shoulder
     found = {each.code: each.sentence for each in diagnose(replace(shirt, vertices=vertices), woman).findings}
     assert found["limb-outside"].startswith("The left forearm of the body at rest: through the cloth")
-    with pytest.raises(InputError, match="through it, not inside it, is the left forearm of the body woman"):
+    with pytest.raises(InputError, match=r"left forearm .*woman"):
         with_limbs_inside(replace(shirt, vertices=vertices), woman)
 
 
@@ -54,7 +54,7 @@ def test_a_dent_across_the_spine_is_pushed_out(woman, shirt):
     dented = replace(shirt, vertices=vertices)
     (limb,) = limbs_outside(vertices, shirt.faces, woman)
     assert limb.startswith("spine")
-    with pytest.warns(InputWarning, match="longsleeve: the trunk went through it at rest; it was pushed out, by"):
+    with pytest.warns(InputWarning, match=r"^longsleeve: the trunk"):
         mended = with_limbs_inside(dented, woman)
     assert limbs_outside(mended.vertices, mended.faces, woman) == ()
     still = np.linalg.norm(shirt.vertices - shirt.vertices[back].mean(axis=0), axis=1) > 0.4

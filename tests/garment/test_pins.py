@@ -40,7 +40,7 @@ def test_a_loose_vertex_leaves_pins_by_index_where_they_are(tmp_path):
 
 
 def test_unknown_pins_list_the_choices():
-    with pytest.raises(InputError, match=r"none, waist, collar, hem, loop:0 .*loop:1"):
+    with pytest.raises(InputError, match=r"waist, collar, hem, loop:0 .*loop:1"):
         resolve_pins("lapel", tube_garment())
     with pytest.raises(InputError, match='no border "loop:2"'):
         resolve_pins("loop:2", tube_garment())
@@ -64,7 +64,7 @@ def test_bad_files_of_indices(tmp_path, text):
 @pytest.mark.parametrize("text", ["", "\n", "[]"])
 def test_a_file_without_indices_is_refused(tmp_path, text):
     (tmp_path / "pins.txt").write_text(text)
-    with pytest.raises(InputError, match='names no vertex; give "none"'):
+    with pytest.raises(InputError, match='"none"'):
         resolve_pins(tmp_path / "pins.txt", tube_garment())
 
 

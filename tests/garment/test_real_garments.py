@@ -15,6 +15,7 @@ from pb4u.garment.repair import repair
 from pb4u.garment.support import find_support
 from pb4u.geometry.obj_file import write_obj
 
+pytestmark = pytest.mark.slow
 NAMES = (
     "croptop_f_lod1", "longsleeve_m_lod0", "longsleeve_m_lod1", "pants_f_lod0", "pants_f_lod1", "shorts_f_lod0",
     "skirt_long_f_lod0", "skirt_long_f_lod1", "tights_f_lod0", "tshirt_f_lod0", "tshirt_f_lod1", "tshirt_m_lod0",

@@ -32,7 +32,10 @@ def source_of(garment):
     return PolygonMesh(garment.vertices, tuple(garment.faces))
 
 
-@pytest.mark.parametrize("name", garment_names())
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[] if name in ("tanktop", "skirt") else [pytest.mark.slow]) for name in garment_names()],
+)
 def test_what_is_pinned_is_told_once_a_file_has_lost_its_pins(name, woman, tmp_path):
     built = build_garment(name, woman, 600)
     exported = read_source(saved(tmp_path, source_of(built)))
@@ -44,6 +47,7 @@ def test_what_is_pinned_is_told_once_a_file_has_lost_its_pins(name, woman, tmp_p
     assert set(diagnose(built, woman).codes) <= {"coarse"}
 
 
+@pytest.mark.slow
 def test_what_holds_a_garment_up_is_looked_for_once(woman, tmp_path, monkeypatch):
     looked, asked = support._closing, []
     monkeypatch.setattr(support, "_closing", lambda *given: asked.append(1) or looked(*given))
@@ -54,8 +58,13 @@ def test_what_holds_a_garment_up_is_looked_for_once(woman, tmp_path, monkeypatch
         assert len(asked) == 1
 
 
-@pytest.mark.parametrize("body", ["woman", "man"])
-@pytest.mark.parametrize("weight", [0.0, 1.0])
+@pytest.mark.parametrize(
+    ("body", "weight"),
+    [
+        ("woman", 1.0),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in (("woman", 0.0), ("man", 0.0), ("man", 1.0))),
+    ],
+)
 def test_straps_and_waists_lie_far_on_either_side_of_the_limit(body, weight):
     wearer = load_body(body, {"height": 0.0, "weight": weight})  # the least area of straps, and hips that face up most
     rest = RestBody.of(wearer)
@@ -112,7 +121,7 @@ def test_a_waistband_and_straps_are_found_as_what_holds(woman):
     assert find_support(leg, skirt.faces, rest).held is None
 
 
-@pytest.mark.parametrize("body", ["woman", "man"])
+@pytest.mark.parametrize("body", ["woman", pytest.param("man", marks=pytest.mark.slow)])
 def test_the_collar_of_an_open_front_is_found_where_the_built_in_one_is_pinned(body):
     wearer = load_body(body)
     rest = RestBody.of(wearer)
@@ -135,7 +144,7 @@ def strapped(body, gap):
     return PolygonMesh(top.vertices[used], tuple(faces.reshape(-1, 3)))
 
 
-@pytest.mark.parametrize("gap", [0.02, 0.05])
+@pytest.mark.parametrize("gap", [0.02, pytest.param(0.05, marks=pytest.mark.slow)])
 def test_straps_that_end_unsewn_hold_nothing_and_are_sewn_where_they_end_near(woman, gap, tmp_path):
     source, rest = strapped(woman, gap), RestBody.of(woman)
     faces = np.stack(source.polygons)
@@ -159,9 +168,9 @@ def test_straps_that_end_unsewn_hold_nothing_and_are_sewn_where_they_end_near(wo
     assert find_support(sewn.vertices, sewn.faces, rest).name == "straps"
     # It is said before a simulation, and no more once they are sewn.
     file = saved(tmp_path, source, "top.obj")
-    with pytest.warns(InputWarning, match="Nothing holds the garment up: 2 of its straps end loose"):
+    with pytest.warns(InputWarning, match="2 of its straps"):
         load_garment(WornGarment(file), woman)
-    with pytest.warns(InputWarning, match="its straps, .* vertices, was found and holds it"):
+    with pytest.warns(InputWarning, match=r"straps, .* vertices"):
         load_garment(WornGarment(file, tacks=found.tacks), woman)
 
 
@@ -174,6 +183,7 @@ def test_how_far_it_slides_is_told_by_where_the_body_is_wider(woman):
     assert slide(wide, skirt.faces, rest) is None
 
 
+@pytest.mark.slow
 def test_a_strap_that_ends_upon_a_panel_is_sewn_to_it(woman):
     """The straps let down over the back, 1 cm outside of it, so that they end within the panel."""
     source, rest = strapped(woman, 0.02), RestBody.of(woman)

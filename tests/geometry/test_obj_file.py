@@ -61,7 +61,7 @@ def test_faces_without_uvs_leave_those_of_the_others(tmp_path):
 def test_uvs_that_are_no_numbers_leave_the_garment(tmp_path):
     path = tmp_path / "odd.obj"
     path.write_text(SQUARE + "vt 0 1\nvt nan nan\nvt 1 1\nf 1/1 2/2 3/3\n")
-    with pytest.warns(InputWarning, match=r"1 texture coordinate line\(s\) hold NaN .*line 6.*zero is taken"):
+    with pytest.warns(InputWarning, match=r"1 texture coordinate.*NaN .*line 6"):
         mesh = read_obj(path)
     np.testing.assert_array_equal(mesh.uvs, [[0, 1], [0, 0], [1, 1]])
 

@@ -82,6 +82,7 @@ def test_the_same_sources_give_the_same_zip(tmp_path: Path) -> None:
     assert '\nblender_version_min = "4.2.0"\n' in manifest
 
 
+@pytest.mark.slow
 def test_an_artists_mesh_moves_as_the_command_line_says(run: Callable, tmp_path: Path) -> None:
     seen = run("""
 scene = bpy.context.scene
@@ -135,6 +136,7 @@ seen["removed"] = [m.name for m in skirt.modifiers]
     assert np.abs(waist[:, :, 1] - waist[0, :, 1]).max() < 0.03
 
 
+@pytest.mark.slow
 def test_a_run_is_cancelled_in_the_middle_and_keeps_its_frames(run: Callable, tmp_path: Path) -> None:
     seen = run("""
 import time
@@ -175,6 +177,7 @@ except RuntimeError as error:
     assert (folder / "result.interrupted.npz").is_file()
 
 
+@pytest.mark.slow
 def test_an_outfit_of_a_mirrored_and_a_carried_garment(run: Callable, tmp_path: Path) -> None:
     seen = run("""
 scene = bpy.context.scene
@@ -215,6 +218,7 @@ np.savez(FOLDER / "shown.npz", **{each.name: [world(each, t) for t in range(1, 5
         np.testing.assert_allclose(shown[name], own[..., [0, 2, 1]] * [1, -1, 1], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_simulated_is_told_in_one_sentence(run: Callable, tmp_path: Path) -> None:
     seen = run("""
 scene = bpy.context.scene
@@ -307,6 +311,7 @@ except RuntimeError as error:
     assert sorted(each.name for each in (tmp_path / "pb4u_cache").iterdir()) == ["run_0001"]
 
 
+@pytest.mark.slow
 def test_unused_runs_of_other_files_are_kept(run: Callable) -> None:
     seen = run("""
 def simulate():
@@ -342,6 +347,7 @@ seen["not saved"] = left(Path(bpy.app.tempdir) / "pb4u")
     assert seen == {"other": ["run_0001", "run_0003"], "reopened": ["run_0003"], "not saved": ["run_0002"]}
 
 
+@pytest.mark.slow
 def test_the_script_of_the_page_runs(run: Callable) -> None:
     (script,) = re.findall(r"^```py\n(.*?)^```", (ROOT / "docs" / "blender.md").read_text(), re.MULTILINE | re.DOTALL)
     before = "settings.garments.clear()\nbpy.context.scene.frame_end = 1\n"
@@ -350,6 +356,7 @@ def test_the_script_of_the_page_runs(run: Callable) -> None:
     assert seen["status"] == "1 frame is there."
 
 
+@pytest.mark.slow
 def test_findings_are_marked_and_selected(run: Callable) -> None:
     seen = run("""
 import bmesh
@@ -387,6 +394,7 @@ seen["face"] = sorted(skirt.data.polygons[200].vertices)
     assert seen["mode"] == "EDIT_MESH"
 
 
+@pytest.mark.slow
 def test_pb4u_is_installed_into_an_environment_of_its_own(run: Callable, tmp_path: Path) -> None:
     wheel = tmp_path / "my wheels" / "pb4u-9.9-py3-none-any.whl"
     wheel.parent.mkdir()

@@ -197,5 +197,5 @@ def test_lines_of_an_obj_may_be_continued(tmp_path: Path) -> None:
     whole = read_obj(path)
     assert [p.tolist() for p in whole.polygons] == [[0, 1, 2], [3, 2, 1], [0, 1, 3]]
     path.write_bytes(text + b"\nf 1 2 9")
-    with pytest.raises(InputError, match='line 8: face "f 1 2 9" names a vertex out of range'):
+    with pytest.raises(InputError, match=r'line 8: .*"f 1 2 9"'):
         read_obj(path)

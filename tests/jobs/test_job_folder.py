@@ -107,7 +107,7 @@ def test_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     kept(tmp_path / "run")
     present = job_folder.FOLDER_VERSION
     monkeypatch.setattr(job_folder, "FOLDER_VERSION", 70)
-    with pytest.raises(InputError, match=rf"holds a run of version {present} .*, and this is .* with version 70"):
+    with pytest.raises(InputError, match=rf"version {present} .*version 70"):
         opened(tmp_path / "run")
     monkeypatch.undo()
     monkeypatch.setattr(job_folder, "__version__", "9.9")
@@ -118,15 +118,15 @@ def test_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize("held", [{"protocol_version": 2, "protocol": "resolution"}, {"dataset_version": 1}])
 def test_folders_of_before_say_what_they_hold(tmp_path: Path, held: dict) -> None:
     (tmp_path / "manifest.json").write_text(json.dumps({"pb4u": "0.3.0", **held}))
-    with pytest.raises(InputError, match=r"holds a run of version \d by pb4u 0\.3\.0, .* give another --out"):
+    with pytest.raises(InputError, match=r"version \d by pb4u 0\.3\.0.*--out"):
         opened(tmp_path)
 
 
 def test_other_protocols_and_other_folders_are_refused(tmp_path: Path) -> None:
     kept(tmp_path / "run")
-    with pytest.raises(InputError, match="holds an evaluation with protocol resolution, not depth"):
+    with pytest.raises(InputError, match="protocol resolution, not depth"):
         opened(tmp_path / "run", "depth")
-    with pytest.raises(InputError, match="is a folder of an evaluation, not of a dataset"):
+    with pytest.raises(InputError, match="evaluation, not of a dataset"):
         JobFolder(tmp_path / "run", "a dataset", {})
     (tmp_path / "run" / "manifest.json").write_text(json.dumps({"jobs": []}))
     with pytest.raises(InputError, match="is not the manifest of an evaluation"):
@@ -142,7 +142,7 @@ def test_other_protocols_and_other_folders_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_one_process_at_a_time(tmp_path: Path) -> None:
-    with opened(tmp_path / "run"), pytest.raises(InputError, match="Another process is at work"):
+    with opened(tmp_path / "run"), pytest.raises(InputError, match="Another process"):
         opened(tmp_path / "run")
     opened(tmp_path / "run").__exit__(None, None, None)
 
@@ -153,5 +153,5 @@ def test_a_disk_that_refuses_is_a_sentence(tmp_path: Path, monkeypatch: pytest.M
 
     with opened(tmp_path / "run") as folder:
         monkeypatch.setattr(job_folder, "replace_file", full)
-        with pytest.raises(Pb4uError, match="No space left on device; what is done is kept"):
+        with pytest.raises(Pb4uError, match="No space left"):
             folder.take(JOB, Made({}))

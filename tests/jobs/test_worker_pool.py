@@ -27,7 +27,7 @@ def ray() -> WorkerPool:
     return RayPool("local", attempt, 2)
 
 
-@pytest.fixture(params=[local, ray], ids=["processes", "ray"])
+@pytest.fixture(params=[local, pytest.param(ray, marks=pytest.mark.slow)], ids=["processes", "ray"])
 def pool(request: pytest.FixtureRequest) -> Iterator[WorkerPool]:
     made = request.param()
     yield made
@@ -130,6 +130,7 @@ def test_impossible_pools_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         RayPool("auto", attempt)
 
 
+@pytest.mark.slow
 def test_an_address_without_a_cluster_is_refused() -> None:
     pytest.importorskip("ray", reason='needs the "ray" extra')
     for address in ("auto", "127.0.0.1:1", "ray://127.0.0.1:1", "127.0.0.1:many"):

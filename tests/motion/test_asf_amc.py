@@ -48,7 +48,7 @@ def test_trial_finds_the_only_skeleton_of_its_folder(acclaim):
 def test_missing_skeleton_is_refused(acclaim):
     amc = acclaim()
     amc.with_name("07.asf").unlink()
-    with pytest.raises(InputError, match=r"no \.asf skeleton; put the skeleton 07\.asf beside"):
+    with pytest.raises(InputError, match=r"07\.asf"):
         load_motion(amc)
 
 
@@ -73,7 +73,7 @@ def test_recording_cut_within_a_line_is_refused(acclaim):
     amc = acclaim(frames=5, pose={"rhumerus": [1.0, 2.0, 3.0]})
     text = amc.read_text()
     amc.write_text(text[: text.rindex("rhumerus") + len("rhumerus 1.0 2.0")])
-    with pytest.raises(InputError, match=r"frame 5 reads \"rhumerus 1.0 2.0\" instead of rhumerus with 3"):
+    with pytest.raises(InputError, match=r'frame 5 .*"rhumerus 1.0 2.0".* 3'):
         load_motion(amc)
 
 
@@ -85,7 +85,7 @@ def test_recording_without_frames_is_refused(acclaim):
 def test_unknown_bone_is_refused(acclaim):
     amc = acclaim()
     amc.write_text(amc.read_text().replace("ltoes", "tail"))
-    with pytest.raises(InputError, match=r'"tail" that 07\.asf does not have'):
+    with pytest.raises(InputError, match=r'"tail".*07\.asf'):
         load_motion(amc)
 
 
@@ -93,7 +93,7 @@ def test_skeleton_with_other_names_is_refused(acclaim):
     amc = acclaim()
     for path in (amc, amc.with_name("07.asf")):
         path.write_text(path.read_text().replace("thorax", "chest"))
-    with pytest.raises(InputError, match="lacks the bones thorax of a CMU skeleton"):
+    with pytest.raises(InputError, match="bones thorax"):
         load_motion(amc)
 
 
@@ -101,7 +101,7 @@ def test_nan_is_refused(acclaim):
     amc = acclaim(frames=3)
     head, _, tail = amc.read_text().rpartition("lhumerus 0.0")
     amc.write_text(f"{head}lhumerus nan{tail}")
-    with pytest.raises(InputError, match="frame 2 holds values that are not finite"):
+    with pytest.raises(InputError, match=r"frame 2 .*not finite"):
         load_motion(amc)
 
 

@@ -114,14 +114,14 @@ def test_rate_comes_from_the_frame_time(bvh, woman):
 
 
 def test_unknown_joints_are_refused_with_the_nearest_skeleton(bvh):
-    with pytest.raises(InputError, match="nearest is Mixamo, of which LeftArm, RightArm are missing"):
+    with pytest.raises(InputError, match=r"Mixamo.* LeftArm, RightArm"):
         load_motion(bvh(renamed={"LeftArm": "Flipper", "RightArm": "Fin"}))
 
 
 def test_cut_short_in_the_frames_is_refused(bvh):
     path = bvh(frames=6)
     path.write_text(path.read_text()[:-200])
-    with pytest.raises(InputError, match=r"cut short: it should have 6 frames .* ends in frame"):
+    with pytest.raises(InputError, match=r"6 frames .*ends in frame"):
         load_motion(path)
 
 
@@ -160,7 +160,7 @@ def test_more_numbers_than_frames_are_refused(bvh):
 
 @pytest.mark.parametrize("value", ["nan", "inf"])
 def test_values_that_are_not_finite_are_refused(bvh, value):
-    with pytest.raises(InputError, match="frame 3 holds values that are not finite"):
+    with pytest.raises(InputError, match=r"frame 3 .*not finite"):
         load_motion(bvh(frames=4, value=value))
 
 

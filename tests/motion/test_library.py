@@ -35,7 +35,7 @@ def test_crop_keeps_frames_at_the_rate_of_the_recording(bvh):
 
 @pytest.mark.parametrize("crop", [(-1, 3), (3, 3), (5, 2), (0, 11)])
 def test_crop_outside_the_recording_is_refused(bvh, crop):
-    with pytest.raises(InputError, match=r"not inside the recording, which has frames 0:10"):
+    with pytest.raises(InputError, match="frames 0:10"):
         load_motion(bvh(frames=10), crop=crop)
 
 

@@ -15,7 +15,7 @@ CLIPS = motion_names()
 GROUNDED = [name for name in CLIPS if name not in ("jump", "run")]
 
 
-@pytest.fixture(params=["woman", "man"])
+@pytest.fixture(params=["woman", pytest.param("man", marks=pytest.mark.slow)])
 def body(request, woman, man):
     return woman if request.param == "woman" else man
 
@@ -148,7 +148,7 @@ def test_seed_changes_tempo_and_amplitude_a_little_and_repeats(woman):
     assert 1.0 < difference.max() < 90.0
 
 
-@pytest.mark.parametrize("seed", range(1, 6))
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 6))])
 def test_varied_clips_stay_on_the_ground(woman, seed):
     for name in CLIPS:
         low = lowest_heights(woman, load_motion(name, seed=seed).poses(woman, 30.0, 150))

@@ -173,13 +173,13 @@ def test_no_shape_worth_telling_is_no_note_and_no_fault(tmp_path, betas):
 def test_a_moving_body_is_no_recording(tmp_path):
     path = tmp_path / "walk.npz"
     write_vertex_sequence(path, np.zeros((2, 3, 3)), np.array([[0, 1, 2]]), 30.0)
-    with pytest.raises(InputError, match=r"is a body that moves, not a recording; give it as --body .*walk\.npz"):
+    with pytest.raises(InputError, match=r"--body .*walk\.npz"):
         load_motion(path)
 
 
 def test_a_rate_that_amass_does_not_tell_can_be_given(tmp_path):
     path = write_amass(tmp_path / "a.npz", mocap_framerate=None)
-    with pytest.raises(InputError, match="does not tell its frame rate; give it with --recorded-fps"):
+    with pytest.raises(InputError, match="--recorded-fps"):
         load_motion(path)
     assert load_motion(path, recorded_fps=120.0).duration == pytest.approx(19 / 120)
 
@@ -194,7 +194,7 @@ def test_amass_without_a_key_is_refused(tmp_path, key):
 def test_vto_of_no_numbers_is_refused(tmp_path, value):
     path = tmp_path / "clip.pkl"
     path.write_bytes(pickle.dumps({"poses": np.zeros((3, 72)), "trans": value}))
-    with pytest.raises(InputError, match='"trans" is not an array of numbers'):
+    with pytest.raises(InputError, match='"trans"'):
         load_motion(path)
 
 
@@ -224,7 +224,7 @@ def test_amass_of_wrong_shape_is_refused(tmp_path, changes, words):
 def test_amass_with_nan_is_refused(tmp_path):
     poses, _ = z_up(*swinging(20, 156))
     poses[7, 30] = np.nan
-    with pytest.raises(InputError, match="frame 7 holds values that are not finite"):
+    with pytest.raises(InputError, match=r"frame 7 .*not finite"):
         load_motion(write_amass(tmp_path / "a.npz", poses=poses))
 
 

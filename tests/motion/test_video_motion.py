@@ -128,7 +128,7 @@ def test_people_are_named_in_the_refusal(tmp_path, smpl_body):
     body = smpl_body("smpl")
     path = tmp_path / "wham_output.pkl"
     joblib.dump(wham_people({0: swinging(body), 3: swinging(body, 20)}, body), path)
-    with pytest.raises(InputError, match=r"holds 2 people, 0 \(40 frames\), 3 \(20 frames\); choose one as .*pkl:0"):
+    with pytest.raises(InputError, match=r"2 people, 0 \(40 frames\), 3 \(20 frames\).*pkl:0"):
         load_motion(path)
     with pytest.raises(InputError, match=r"has no person 9; it has 0"):
         load_motion(f"{path}:9")
@@ -264,13 +264,13 @@ def test_parts_of_gvhmr_that_do_not_fit_are_refused(tmp_path, changes, sentence)
 
 def test_code_in_a_result_of_gvhmr_is_not_run(tmp_path):
     torch.save({"smpl_params_global": Code()}, tmp_path / "a.pt")
-    with pytest.raises(InputError, match=r"it asks for .*exec.*nothing in it was run"):
+    with pytest.raises(InputError, match="exec"):
         load_motion(tmp_path / "a.pt")
 
 
 def test_weights_are_no_motion(tmp_path):
     torch.save({"state_dict": {"a": torch.zeros(2)}}, tmp_path / "a.pt")
-    with pytest.raises(InputError, match="no result of GVHMR: it has no smpl_params_global and holds state_dict"):
+    with pytest.raises(InputError, match=r"smpl_params_global .*state_dict"):
         load_motion(tmp_path / "a.pt")
 
 
@@ -297,7 +297,7 @@ def test_a_packed_torch_file_is_refused(tmp_path):
 
 
 def test_one_person_needs_no_name(tmp_path):
-    with pytest.raises(InputError, match='holds one person; give it without ":1"'):
+    with pytest.raises(InputError, match=r'one person.*":1"'):
         load_motion(f"{gvhmr(tmp_path / 'a.pt')}:1")
 
 

@@ -188,12 +188,12 @@ def test_an_extra_feature_arrives_by_name():
     torch.testing.assert_close(graph.nodes["garment"].features[:, -3:], given)
     assert bool((graph.nodes["body"].features[:, -3:] == 0).all())
     for wrong in (None, {}, {"potential_gradient": given[:, :2]}):
-        with pytest.raises(InputError, match="extra node feature 'potential_gradient' with 3 columns for 30 vertices"):
+        with pytest.raises(InputError, match=r"'potential_gradient' with 3 .*30 vertices"):
             built(at, layout, extra=wrong)
 
 
 def test_an_unknown_feature_and_a_senseless_world_edge_rule_are_refused():
-    with pytest.raises(InputError, match="no world_edge feature 'smell'; there are: direction"):
+    with pytest.raises(InputError, match=r"'smell'.*direction"):
         FeatureLayout(world_edge=("smell",))
     for radius, neighbours in ((0.0, 1), (float("nan"), 1), (0.03, 0), (0.03, 1000)):
         with pytest.raises(InputError, match="World edges need"):

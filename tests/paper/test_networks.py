@@ -112,7 +112,7 @@ def test_meshgraphnet_reaches_exactly_as_many_mesh_edges_as_it_has_blocks(blocks
     assert (felt, unfelt) == (blocks, blocks + 1)
 
 
-@pytest.mark.parametrize(("repeats", "hops"), [(1, 16), (3, 48)])
+@pytest.mark.parametrize(("repeats", "hops"), [(1, 16), pytest.param(3, 48, marks=pytest.mark.slow)])
 def test_hood_reaches_48_mesh_edges(repeats, hops):
     """2 + 4 + 4 + 4 + 2 for a block of each stage (reference 4.2).
 

@@ -41,7 +41,7 @@ def test_every_protocol_plans_without_any_weights(monkeypatch: pytest.MonkeyPatc
         if name == "robustness":
             continue
         if name == "depth":
-            with pytest.raises(InputError, match="None of the models has propagation steps to vary"):
+            with pytest.raises(InputError, match="propagation steps"):
                 plan(EvaluationRequest(name))
             continue
         planned = plan(EvaluationRequest(name))
@@ -56,7 +56,7 @@ def test_models_without_weights_are_one_line_unless_they_were_named(monkeypatch:
     monkeypatch.setattr("pb4u.simulation.checkpoint.built_in_models", lambda: ("comparison-pb4u",))
     (line,) = plan(EvaluationRequest("ablation")).absent
     assert "comparison-pb4u-without-scaling" in line
-    with pytest.raises(InputError, match="There is no model 'pb4u-smal'"):
+    with pytest.raises(InputError, match="'pb4u-smal'"):
         plan(replace(SMALL, models=("pb4u-smal",)))
 
 
@@ -175,7 +175,7 @@ def test_what_cannot_be_used_is_refused(change: dict, says: str) -> None:
 
 def test_weights_of_another_rate_are_refused(tmp_path: Path) -> None:
     file = weights(tmp_path / "fast.safetensors", dt=1 / 60)
-    with pytest.raises(InputError, match="runs at 60 frames per second; the protocols run at 30"):
+    with pytest.raises(InputError, match=r"60 frames per second.* 30"):
         plan(replace(SMALL, models=(str(file),)))
 
 
@@ -188,5 +188,5 @@ def test_networks_with_fixed_steps_too_can_be_told(tmp_path: Path) -> None:
 
 
 def test_garments_that_tables_would_call_the_same_are_refused() -> None:
-    with pytest.raises(InputError, match="Two garments are called shirt in the tables; rename one of the files"):
+    with pytest.raises(InputError, match=r"Two garments .*shirt"):
         plan(replace(SMALL, garments=("a/shirt.obj", "b/shirt.obj")))

@@ -87,7 +87,7 @@ def test_it_walks_with_its_flat_rest_shape_in_the_file(dressed, body, tmp_path):
     measured = pb4u.measure(trajectory)["metrics"]
     assert measured["self_intersections"]["max"] == 0
     assert measured["stretch"]["mean"] > 0.0
-    with pytest.raises(InputError, match="dress its pattern with 400 triangles"):
+    with pytest.raises(InputError, match="400 triangles"):
         pb4u.make_scene(dressed.garment, body, "walk", triangles=400, frames=1)
 
 
@@ -101,7 +101,7 @@ def test_a_dressed_garment_is_kept_with_its_pattern(dressed, body, tmp_path, cac
     assert len(finer.faces) == pytest.approx(600, rel=0.1)
     assert finer.material == MATERIALS["silk"]
     assert finer.face_areas.sum() == pytest.approx(skirt().area, rel=1e-9)
-    with pytest.warns(InputWarning, match="was dressed on woman; it is dressed again on man"):
+    with pytest.warns(InputWarning, match=r"dressed on woman.* man"):
         load_worn(file, load_body("man", {}), MATERIALS["default"])
     assert len(list(cache.glob("*.npz"))) == 1
 
@@ -129,7 +129,7 @@ def test_meshes_and_pictures_are_written(dressed, body, tmp_path):
     sewn = {tuple(sorted(edge)) for side, _ in dressed.mesh.sides for edge in _chain(dressed.mesh.vertex[side])}
     assert lines == sewn
     assert "\ng seams\n" in text
-    with pytest.raises(InputError, match=r"written as .npz, .obj, .json, .svg or .png"):
+    with pytest.raises(InputError, match=r"\.npz, \.obj, \.json, \.svg or \.png"):
         write_worn(tmp_path / "skirt.fbx", dressed, body)
 
 
@@ -178,9 +178,7 @@ def test_a_pattern_too_small_for_the_body_is_refused(body):
 @pytest.mark.parametrize("pattern", [skirt(), vest(0.9)])
 def test_a_pattern_three_times_too_small_is_refused(body, pattern: Pattern):
     small = [Panel(p.name, p.corners / 3.0, p.position + (0, 0.35, 0)) for p in pattern.panels]
-    with pytest.raises(
-        InputError, match=r"tiny is too small for woman: its panels are \d+ cm wide together \(the widest, "
-    ):
+    with pytest.raises(InputError, match=r"tiny is too small for woman: .*\d+ cm"):
         dress(Pattern("tiny", small, pattern.seams), body, 200)
 
 
@@ -189,7 +187,7 @@ def test_a_garment_that_slips_off_the_shoulders_is_refused(body):
     placed = around(mesh, body)
     worn = mesh.sewn(placed)
     refuse_slipped(mesh, body, placed, worn - (0, 0.02, 0))
-    with pytest.raises(InputError, match=r"vest is too large for woman: it slips off the shoulders, by 2\d cm"):
+    with pytest.raises(InputError, match=r"vest is too large for woman: .*2\d cm"):
         refuse_slipped(mesh, body, placed, worn - (0, 0.25, 0))
 
 
@@ -209,13 +207,13 @@ def test_a_waistband_that_does_not_close_is_refused(body):
 def test_panels_far_from_the_body_are_refused(body):
     front, *others = vest(0.9).panels
     moved = Panel(front.name, front.corners, front.position + (40.0, 0.0, 0.0))
-    with pytest.raises(InputError, match=r"vest is not placed around woman: its panel front is 3\d\.\d m away"):
+    with pytest.raises(InputError, match=r"vest .*front is 3\d\.\d m away"):
         dress(Pattern("vest", [moved, *others], vest(0.9).seams), body, 200)
 
 
 def test_a_pattern_below_the_trunk_is_refused(body):
     low = [Panel(p.name, p.corners, p.position / 2.54) for p in skirt().panels]
-    with pytest.raises(InputError, match=r"low lies too low for woman: .* front left, ends 74 cm above"):
+    with pytest.raises(InputError, match=r"front left, .*74 cm"):
         dress(Pattern("low", low, skirt().seams), body, 200)
 
 
@@ -262,7 +260,7 @@ def test_a_dressed_garment_is_checked_and_planned_by_its_own_triangles(dressed, 
     check(str(file), json=str(tmp_path / "found.json"))
     found = json.loads((tmp_path / "found.json").read_text())["garment"]
     assert (found["refused"], found["held_by"]) == (False, "waistband")
-    with pytest.raises(InputError, match="--fix mends a garment from a mesh file"):
+    with pytest.raises(InputError, match="--fix"):
         check(str(file), fix=tmp_path / "mended.obj")
     job = JobPlanner().job(Run((WornGarment(str(file)),), frames=10, lead_in=0))
     own, twice = footprints([job, replace(job, run=job.run.with_entries({"triangles": 2 * len(dressed.mesh.faces)}))])

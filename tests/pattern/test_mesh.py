@@ -92,7 +92,7 @@ def test_panels_lie_side_by_side_in_the_texture():
 
 
 def test_too_few_triangles_are_refused():
-    with pytest.raises(InputError, match="10 triangles are too few for the 4 panels of skirt"):
+    with pytest.raises(InputError, match=r"10 triangles .*4 panels of skirt"):
         mesh_pattern(skirt(), 10)
 
 

@@ -178,7 +178,7 @@ def test_a_state_that_is_not_finite_is_named_with_its_frame() -> None:
     garments = packed(sheet(3, 3))
     x = garments.rest_positions.clone()
     x[5, 1] = torch.nan
-    with pytest.raises(DivergedError, match=r"frame 7.*first vertex 5.*kept") as caught:
+    with pytest.raises(DivergedError, match=r"frame 7.*first vertex 5") as caught:
         require_finite(State(x, torch.zeros_like(x), 7))
     assert caught.value.frame == 7
     step = potential_of(garments, at_rest(garments, frame=6))

@@ -21,6 +21,7 @@ import pytest
 
 import pb4u
 
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 MOST_BYTES = 25_000_000
 

@@ -40,13 +40,13 @@ def test_a_shirt_is_cut_for_a_character_and_goes_with_its_clip(tmp_path):
 
 def test_what_a_clip_leaves_no_room_for_is_refused(tmp_path):
     doll = write_doll(tmp_path / "doll.glb")
-    with pytest.raises(InputError, match="performs either its clip slide or --motion; leave one out"):
+    with pytest.raises(InputError, match="clip slide or --motion"):
         make_scene("tshirt", doll, "walk", clip="slide")
-    with pytest.raises(InputError, match="performs its own clip, so --crop cannot be applied"):
+    with pytest.raises(InputError, match="--crop"):
         make_scene("tshirt", doll, crop=(0, 2))
-    with pytest.raises(InputError, match="performs its own clip, so --recorded-fps cannot be applied"):
+    with pytest.raises(InputError, match="--recorded-fps"):
         make_scene("tshirt", doll, recorded_fps=60.0)
-    with pytest.raises(InputError, match='has no clip "run"; it has slide'):
+    with pytest.raises(InputError, match=r'"run".*slide'):
         make_scene("tshirt", doll, clip="run")
 
 
@@ -61,5 +61,5 @@ def test_new_options_go_through_a_scene_file(tmp_path):
 
 
 def test_a_rate_that_nothing_is_recorded_at_is_refused():
-    with pytest.raises(InputError, match=r"recorded_fps must be a number from 1 to 1,000, not 0\.0"):
+    with pytest.raises(InputError, match=r"recorded_fps .*1 to 1,000, not 0\.0"):
         make_scene("tshirt", motion="walk", recorded_fps=0.0)

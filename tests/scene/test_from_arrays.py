@@ -91,9 +91,9 @@ def test_a_body_from_arrays_is_worn_by(skirt: pb4u.Garment) -> None:
     ):
         with pytest.raises(pb4u.InputError, match=says):
             pb4u.body_from_arrays(vertices, faces)
-    with pytest.raises(pb4u.InputError, match=r"The body is an array; give .*body_from_arrays"):
+    with pytest.raises(pb4u.InputError, match="body_from_arrays"):
         pb4u.make_scene("tshirt", woman.vertices)
-    with pytest.raises(pb4u.InputError, match=r"The garment is an array; give .*pb4u\.Garment"):
+    with pytest.raises(pb4u.InputError, match=r"pb4u\.Garment"):
         pb4u.make_scene(skirt.vertices)
 
 

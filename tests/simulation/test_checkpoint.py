@@ -72,14 +72,11 @@ def test_a_checkpoint_rebuilds_the_same_model(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.safetensors"]
 
 
-@pytest.mark.parametrize("name", NETWORKS)
-def test_every_configuration_survives_json(name):
-    configuration = NETWORKS[name]
-    if name == "pb4u_small":
-        extra = (Feature("potential_gradient", 3, "m", True, 1e-3, "gradient of the incremental potential"),)
-        configuration = replace(configuration, layout=FeatureLayout(extra=extra))
-    text = json.dumps(configuration_to_json(configuration))
-    assert configuration_from_json(json.loads(text)) == configuration
+def test_every_configuration_survives_json():
+    extra = (Feature("potential_gradient", 3, "m", True, 1e-3, "gradient of the incremental potential"),)
+    for configuration in (*NETWORKS.values(), replace(NETWORKS["pb4u_small"], layout=FeatureLayout(extra=extra))):
+        text = json.dumps(configuration_to_json(configuration))
+        assert configuration_from_json(json.loads(text)) == configuration
 
 
 @pytest.mark.parametrize("kept", [0, 4, 200, -1])
@@ -150,12 +147,12 @@ def test_diverged_weights_are_refused(saved):
         metadata = file.metadata()
     tensors["network.decoder.last.bias"][1] = float("nan")
     save_file(tensors, saved, metadata)
-    with pytest.raises(InputError, match=r"not finite in network\.decoder\.last\.bias"):
+    with pytest.raises(InputError, match=r"network\.decoder\.last\.bias"):
         load_checkpoint(saved)
 
 
 def test_a_missing_model_is_refused_with_the_names_there_are():
-    with pytest.raises(InputError, match="no built-in model of that name; built in:"):
+    with pytest.raises(InputError, match="built in:"):
         from_pretrained("no_such_model")
 
 
@@ -173,14 +170,14 @@ def test_a_senseless_number_of_propagation_steps_is_refused(saved, steps):
 def test_a_resolution_never_seen_is_warned_of_with_what_to_expect(saved):
     checkpoint = load_checkpoint(saved)
     fine, coarse = sheet(9, 9, edge=0.006), sheet(9, 9, edge=0.04)
-    with pytest.warns(InputWarning, match=r"finer than the 12\.0 to 16\.0 mm .* trembling"):
+    with pytest.warns(InputWarning, match=r"12\.0 to 16\.0 mm"):
         checkpoint.prepare(pack([fine]), propagation_steps=20)
-    with pytest.warns(InputWarning, match=r"coarser than .* fewer wrinkles .* `--triangles \d+`"):
+    with pytest.warns(InputWarning, match=r"coarser .*`--triangles \d+`"):
         checkpoint.prepare(pack([coarse]))
 
 
 def test_propagation_steps_never_seen_are_warned_of(saved):
-    with pytest.warns(InputWarning, match="40 propagation steps, where .* 1 to 30"):
+    with pytest.warns(InputWarning, match=r"40 .*1 to 30"):
         load_checkpoint(saved).prepare(pack([sheet(9, 9, edge=0.012)]), propagation_steps=40)
 
 

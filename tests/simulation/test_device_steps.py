@@ -176,22 +176,22 @@ def test_the_closed_form_has_the_eigenvectors_of_the_library(rows: int) -> None:
 
 def test_what_a_card_cannot_do_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """No card, a driver too old, no products in bfloat16: in simulation, and the first two in training."""
-    with pytest.raises(InputError, match="There is no device 'cuda:1'; did you mean cuda"):
+    with pytest.raises(InputError, match="'cuda:1'"):
         load_simulator("pb4u-small", device="cuda:1")
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     monkeypatch.setattr("torch.version.cuda", None)
-    with pytest.raises(InputError, match="no CUDA device here; use --device cpu"):
+    with pytest.raises(InputError, match="--device cpu"):
         load_simulator("pb4u-small", device="cuda")
-    with pytest.raises(InputError, match="no CUDA device here; use --device cpu"), workers("cuda"):
+    with pytest.raises(InputError, match="--device cpu"), workers("cuda"):
         pass
     monkeypatch.setattr("torch.version.cuda", "13.0")
-    with pytest.raises(InputError, match=r"CUDA 13\.0 of this torch runs on; update the driver"):
+    with pytest.raises(InputError, match=r"CUDA 13\.0"):
         load_simulator("pb4u-small", device="cuda")
     with pytest.raises(InputError, match="update the driver"), workers("cuda"):
         pass
     monkeypatch.setattr("torch.cuda.is_available", lambda: True)
     monkeypatch.setattr("torch.cuda.is_bf16_supported", lambda including_emulation: False)
-    with pytest.raises(InputError, match="does not multiply in bfloat16"):
+    with pytest.raises(InputError, match="bfloat16"):
         load_simulator("pb4u-small", device="cuda", precision="bfloat16")
 
 
@@ -307,7 +307,7 @@ def test_of_two_cards_each_process_takes_its_own(monkeypatch: pytest.MonkeyPatch
         assert second.device == torch.device("cuda:1")
     assert taken == [torch.device("cuda:0"), torch.device("cuda:1")]
     monkeypatch.setenv("LOCAL_RANK", "2")
-    with pytest.raises(InputError, match="There are 2 cards here, and process 3 of this machine"), workers("cuda"):
+    with pytest.raises(InputError, match=r"2 cards .*process 3"), workers("cuda"):
         pass
 
 

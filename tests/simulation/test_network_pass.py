@@ -176,7 +176,7 @@ def test_passes_can_be_chosen_and_are_one_where_the_solver_refines(tmp_path: Pat
     assert load_simulator(path).passes == 1
     assert load_simulator(path, refine=0).passes == 3
     assert load_simulator(path, refine=5, passes=2).simulate(ball_scene(frames=2)).metadata["passes"] == 2
-    with pytest.raises(InputError, match="passes must be a whole number from 1"):
+    with pytest.raises(InputError, match=r"^passes "):
         load_simulator(path, passes=0)
 
 

@@ -100,7 +100,7 @@ def test_the_precision_of_products_is_chosen_told_and_close(weights: Path, monke
 
 @pytest.mark.parametrize("steps", [0, 10_000])
 def test_impossible_k_is_refused(weights: Path, steps: int) -> None:
-    with pytest.raises(InputError, match="propagation_steps must be a whole number from 1 to 500"):
+    with pytest.raises(InputError, match=r"propagation_steps .*1 to 500"):
         load_simulator(weights, propagation_steps=steps)
 
 

@@ -129,7 +129,7 @@ def test_what_a_scene_file_cannot_hold_is_refused(tmp_path: Path, text: str, say
 
 
 def test_a_file_that_is_absent_or_no_text_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no scene file .*absent\.toml"):
+    with pytest.raises(InputError, match=r"absent\.toml"):
         Run.open(tmp_path / "absent.toml")
     (tmp_path / "walk.npz").write_bytes(b"PK\x03\x04\xff\xfe")
     with pytest.raises(InputError, match="cannot be read as TOML"):
@@ -171,10 +171,10 @@ def test_a_model_with_a_start_of_its_own_takes_no_other() -> None:
 
 
 def test_self_contact_is_refused_where_it_cannot_be() -> None:
-    with pytest.raises(InputError, match=r"^skinning .*, so --self-contact cannot be on; leave it out"):
+    with pytest.raises(InputError, match=r"^skinning .*--self-contact"):
         simulator_of(Run(model="skinning", self_contact=True))
     assert simulator_of(Run(model="skinning", self_contact=False)).name == "skinning"
-    with pytest.raises(InputError, match="self_contact must be true or false"):
+    with pytest.raises(InputError, match=r"^self_contact "):
         Run(self_contact="on")
 
 

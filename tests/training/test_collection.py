@@ -42,14 +42,14 @@ def test_with_files_alone_the_first_body_is_the_only_one(shirt: Path) -> None:
 
 
 def test_a_file_that_is_missing_is_refused() -> None:
-    with pytest.raises(InputError, match=r"There is no garment file none\.obj"):
+    with pytest.raises(InputError, match=r"none\.obj"):
         collect(selection("none.obj"))
 
 
 def test_vto_recordings_are_trained_on_and_every_tenth_validates(tmp_path: Path) -> None:
     for number in range(10):
         write_vto(tmp_path / f"clip{number}.pkl")
-    data = collect(replace(selection("skirt"), motions=()), tmp_path)
+    data = collect(replace(selection("skirt", bodies=("man",)), motions=(), shapes=1), tmp_path)
     splits = [(clip.name, clip.split) for clip in data.clips if clip.body == 0]
     assert splits[0] == ("clip0", "train")
     assert len(splits) == 10
@@ -60,12 +60,12 @@ def test_vto_recordings_are_trained_on_and_every_tenth_validates(tmp_path: Path)
 def test_of_few_recordings_one_is_held_out(count: int, held_out: list[str], tmp_path: Path) -> None:
     for number in range(count):
         write_vto(tmp_path / f"clip{number}.pkl")
-    data = collect(replace(selection("skirt"), motions=(), shapes=1), tmp_path)
+    data = collect(replace(selection("skirt", bodies=("man",)), motions=(), shapes=1), tmp_path)
     assert [clip.name for clip in data.clips if clip.split == "validation"] == held_out
 
 
 def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"holds no file of \.pkl, \.npz, \.bvh, and none of the recordings"):
+    with pytest.raises(InputError, match=r"\.pkl, \.npz, \.bvh"):
         collect(selection("skirt"), tmp_path)
 
 
@@ -73,5 +73,5 @@ def test_files_without_poses_stay_out(tmp_path: Path) -> None:
     write_vto(tmp_path / "clip.pkl")
     np.savez(tmp_path / "shape.npz", betas=np.zeros(16), gender=np.array("female"))
     with pytest.warns(InputWarning, match="1 file holds no poses"):
-        data = collect(replace(selection("skirt"), motions=()), tmp_path)
+        data = collect(replace(selection("skirt", bodies=("man",)), motions=(), shapes=1), tmp_path)
     assert {clip.name for clip in data.clips} == {"clip"}

@@ -92,7 +92,10 @@ def test_a_card_learns_what_a_processor_learns(in_tensors: None, monkeypatch: py
     torch.testing.assert_close(weights(other), weights(one), rtol=0, atol=2e-5)
 
 
-@pytest.mark.parametrize("fault", ["lost", "short of room", "not finite"])
+@pytest.mark.parametrize(
+    "fault",
+    ["not finite", *(pytest.param(fault, marks=pytest.mark.slow) for fault in ("lost", "short of room"))],
+)
 def test_a_step_that_went_wrong_changes_no_weights(
     fault: str, in_tensors: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -135,6 +138,7 @@ def test_a_real_card_learns_what_a_processor_learns(in_tensors: None, monkeypatc
     torch.testing.assert_close(weights(other).cpu(), weights(one), rtol=0, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_what_steps_gave_is_read_once_a_line_of_the_log(in_tensors: None, monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = trainer_of(replace(CONJUGATE, log_every=3))
     trainer.gather_statistics()
@@ -153,6 +157,7 @@ def _not_finite(*args: object, **kwargs: object) -> Energies:
     return Energies({name: value * torch.nan for name, value in energies.terms.items()})
 
 
+@pytest.mark.slow
 def test_validation_reads_back_once_a_clip(in_tensors: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """And gives the score that a processor gives, which decides in every frame."""
     monkeypatch.setattr(ContactPlanes, "transported_normals", lambda self, pose: self.normals)
@@ -181,6 +186,6 @@ def test_validation_reads_back_once_a_clip(in_tensors: None, monkeypatch: pytest
 def test_data_that_a_card_has_no_room_for_is_refused_before_the_first_step(monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = trainer_of()
     monkeypatch.setattr("torch.cuda.mem_get_info", lambda device: (10**4, 10**11))
-    with pytest.raises(InputError, match=r"a step of training takes about .* garments of \d+ triangles in all would"):
+    with pytest.raises(InputError, match=r"garments of \d+ triangles"):
         trainer.run()
     assert trainer.counters.window == 0

@@ -49,6 +49,7 @@ def pack(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_killed_training_resumes_to_the_same_numbers(pack: Path, tmp_path: Path) -> None:
     common = ("--pack", pack, "--preset", "smoke", "--steps", 24, *(f"--set={s}" for s in SETTINGS))
     whole, killed = (started(*common, "--out", tmp_path / name) for name in ("whole", "killed"))

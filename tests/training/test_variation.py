@@ -46,7 +46,9 @@ def test_cuts_differ_by_seed_and_keep_their_kind() -> None:
             assert {cut.ease[:2] for cut in cuts} == {standard.ease[:2]}
 
 
-@pytest.mark.parametrize("name", ["tanktop", "cardigan", "skirt"])
+@pytest.mark.parametrize(
+    "name", ["skirt", *(pytest.param(name, marks=pytest.mark.slow) for name in ("tanktop", "cardigan"))]
+)
 def test_a_varied_garment_is_another_one_in_one_piece(woman: ShapedBody, name: str) -> None:
     made = varied_garment(name, woman, 500, np.random.default_rng(4))
     standard = build_garment(name, woman, 500)
@@ -57,6 +59,7 @@ def test_a_varied_garment_is_another_one_in_one_piece(woman: ShapedBody, name: s
     assert made.pinned.any() == standard.pinned.any()
 
 
+@pytest.mark.slow
 def test_a_cut_that_cannot_be_worn_is_left_for_the_standard_one(
     woman: ShapedBody, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -81,6 +84,7 @@ def test_an_uneven_mesh_has_edges_of_two_sizes_off_the_skin(woman: ShapedBody) -
     assert float(surface.nearest(made.vertices[~made.pinned]).signed_distance.min()) > 0.0
 
 
+@pytest.mark.slow
 def test_a_cape_hangs_down_the_back_from_pins_on_both_shoulders(woman: ShapedBody) -> None:
     made = cape(woman, 500, np.random.default_rng(2))
     mesh = made.topology
@@ -100,6 +104,7 @@ def test_a_cape_hangs_down_the_back_from_pins_on_both_shoulders(woman: ShapedBod
     assert np.sign(worn.vertices[worn.pinned, 0]).max() == 1.0
 
 
+@pytest.mark.slow
 def test_collected_garments_are_the_same_again_and_unlike_each_other() -> None:
     selection = DataSelection(
         garments=("skirt",), triangles=(300, 400), bodies=("woman",), shapes=1, motions=("walk",), clips=1,

@@ -24,7 +24,10 @@ webdriver = pytest.importorskip("selenium.webdriver", reason="selenium, which dr
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 DRIVER = shutil.which("chromedriver")
-pytestmark = pytest.mark.skipif(not (BROWSER and DRIVER), reason="there is no chromium with its chromedriver here")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not (BROWSER and DRIVER), reason="there is no chromium with its chromedriver here"),
+]
 
 # No screen and no graphics card, and nothing that would call out of the machine.
 FLAGS = (

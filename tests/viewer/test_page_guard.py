@@ -121,6 +121,7 @@ socket.onerror = () => { if (document.title == "waiting") document.title = "refu
 </script>"""
 
 
+@pytest.mark.slow
 def test_a_foreign_page_in_a_browser_is_refused(local: Studio, tmp_path) -> None:
     from tests.viewer import test_page
 

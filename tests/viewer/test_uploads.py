@@ -47,11 +47,11 @@ def test_what_is_read_beside_a_file_cannot_be_chosen() -> None:
 def test_what_is_no_such_file_or_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     files = Uploads()
     for kind, name in (("garment", "a.npz"), ("motion", "a.obj"), ("garment", ".obj"), ("body", "a.exe")):
-        with pytest.raises(InputError, match=f"is no {kind} file that can be read; the kinds are"):
+        with pytest.raises(InputError, match=f"no {kind} file"):
             files.keep(kind, name, b"x")
     monkeypatch.setattr(module, "MOST_BYTES", 2**20)
     monkeypatch.setattr(module, "MOST_BYTES_TOGETHER", 2**20 + 100)
-    with pytest.raises(InputError, match=r"a\.obj has 2 MB, and 1 MB are the most"):
+    with pytest.raises(InputError, match=r"a\.obj .*2 MB.* 1 MB"):
         files.keep("garment", "a.obj", b"x" * 2**21)
     files.keep("garment", "a.obj", b"x" * 2**20)
     with pytest.raises(InputError, match="more than 1 MB; reload it"):
