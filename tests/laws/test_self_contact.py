@@ -13,10 +13,10 @@ from tests.collision.crossing_free_states import Surface, folded, stack
 from tests.physics.shapes import DT, nobody, packed, sheet, time_step
 
 from pb4u.collision.collision_free import SMALLEST_GAP
+from pb4u.environment import Environment
 from pb4u.errors import InputError
 from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.garment.garment import Garment
-from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import substep_count
 from pb4u.physics.solver.newton_solver import Solver
@@ -247,7 +247,7 @@ def slid(coefficient: float, degrees: float, steps: int = 9) -> tuple[float, flo
     settling, free = 5, ~garments.pinned
     for k in range(settling + steps):
         angle = np.radians(degrees) if k >= settling else 0.0
-        down = torch.tensor([9.81 * np.sin(angle), -9.81 * np.cos(angle), 0.0], dtype=torch.float64)
+        down = Environment((9.81 * np.sin(angle), -9.81 * np.cos(angle), 0.0), ground=None)
         if k == settling:
             state = State(state.positions, torch.zeros_like(start), state.frame)
             settled = state.positions
@@ -346,25 +346,25 @@ Parts = tuple[BodyMotionWarmStart | None, Any, SolverRefinement | None, ContactR
 def methods(potential: IncrementalPotential) -> dict[str, Parts]:
     """Methods of every kind with the contact of `potential`."""
     return {
-        "solver": (None, None, ImplicitSteps(potential=potential), ContactResponse(), AsPlaced()),
+        "solver": (None, None, ImplicitSteps(potential), ContactResponse(), AsPlaced()),
         "solver, two iterations": (
-            None, None, ImplicitSteps(2, potential=potential), None, AsPlaced(),
+            None, None, ImplicitSteps(potential, 2), None, AsPlaced(),
         ),
         "network alone": (
-            BodyMotionWarmStart((0.5, 1.0)), Careless(), None, ContactResponse(),
+            BodyMotionWarmStart(potential, (0.5, 1.0)), Careless(), None, ContactResponse(),
             OneLongStep(),
         ),
         "network and one": (
-            BodyMotionWarmStart((0.5, 1.0)), Careless(), SolverRefinement(1, potential=potential), ContactResponse(),
-            Settled(potential=potential),
+            BodyMotionWarmStart(potential, (0.5, 1.0)), Careless(), SolverRefinement(potential, 1), ContactResponse(),
+            Settled(),
         ),
         "network and five": (
-            BodyMotionWarmStart((0.5, 1.0)), Careless(),
-            SafeguardedRefinement(5, potential), ContactResponse(), AsPlaced(),
+            BodyMotionWarmStart(potential, (0.5, 1.0)), Careless(),
+            SafeguardedRefinement(potential, 5), ContactResponse(), AsPlaced(),
         ),
         "quick solver": (
-            BodyMotionWarmStart((0.5, 1.0)), None,
-            SafeguardedRefinement(5, potential), ContactResponse(), AsPlaced(),
+            BodyMotionWarmStart(potential, (0.5, 1.0)), None,
+            SafeguardedRefinement(potential, 5), ContactResponse(), AsPlaced(),
         ),
     }  # fmt: skip
 
@@ -379,12 +379,12 @@ def test_no_step_of_any_kind_leaves_cloth_crossing(scene: str, method: str) -> N
     frames = 4
     placed, states = dropped(surface, frames, speed, pins)
     start, network, refinement, contact, first = METHODS[method]
-    taken = StepMethod(start, network, refinement, contact, CollisionFree())
+    taken = StepMethod(start, network, refinement, contact, PAIRED)
     assert states.crossing(states.before) == 0
     record = RunRecord()
     timeline = Timeline.of(placed)
     simulator = OneMethod(first, taken)
-    state, seen = require_finite(first.start(timeline, taken)), 0
+    state, seen = require_finite(first.start(timeline, taken).state), 0
     for written in simulator.rollout(placed, record):
         for x in (state.positions.numpy(), written.positions.numpy()):
             assert states.crossing(x) == 0
@@ -414,7 +414,7 @@ def test_cloth_that_starts_crossing_is_free_from_its_first_frame(method: str) ->
     surface = stack(2, 1e-3, cells=4)
     scene = crossed(surface)
     start, network, refinement, contact, first = METHODS[method]
-    simulator = OneMethod(first, StepMethod(start, network, refinement, contact, CollisionFree()))
+    simulator = OneMethod(first, StepMethod(start, network, refinement, contact, PAIRED))
     assert surface.crossing(Timeline.of(scene).skinned_state(0).positions.numpy()) > 3
     states = list(simulator.rollout(scene, RunRecord()))
     assert [surface.crossing(state.positions.numpy()) for state in states] == [0, 0, 0]
@@ -428,7 +428,7 @@ def test_cloth_that_cannot_be_parted_is_refused_before_anything_moves(method: st
         for worn in scene.garments
     ]
     start, network, refinement, contact, first = METHODS[method]
-    simulator = OneMethod(first, StepMethod(start, network, refinement, contact, CollisionFree()))
+    simulator = OneMethod(first, StepMethod(start, network, refinement, contact, PAIRED))
     with pytest.raises(InputError, match=r"part and part \(2\) cross in \d+ pairs"):
         next(simulator.rollout(replace(scene, garments=tuple(held)), RunRecord()))
 
@@ -445,7 +445,7 @@ def test_cloth_that_touches_none_has_the_energies_that_it_had_without() -> None:
     scene, _ = dropped(stack(1, 0.0, cells=6), 6, 0.3)
     states = []
     for potential in (IncrementalPotential(), PAIRED):
-        method = StepMethod(refinement=ImplicitSteps(potential=potential), self_contact=potential.self_contact)
+        method = StepMethod(refinement=ImplicitSteps(potential), potential=potential)
         states.append(list(OneMethod(AsPlaced(), method).rollout(scene, RunRecord()))[-1].positions)
     garments = Timeline.of(scene).garments
     energies = [IncrementalPotential().of(time_step(garments, State(x, torch.zeros_like(x), 0))) for x in states]

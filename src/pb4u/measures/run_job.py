@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pb4u import __version__
+from pb4u.environment import Environment
 from pb4u.errors import InputWarning, Pb4uError
 from pb4u.jobs.job import Failure, JobPack, Made, address, attempted, require_content
 from pb4u.jobs.job_folder import FOLDER_VERSION
@@ -292,15 +293,14 @@ def _scene(run: Run, written_fps: float) -> tuple[Scene, tuple[str, ...]]:
 def _reference(run: Run) -> Reference:
     """Solver's rollout of a scene, and the states that all models are compared on."""
     from pb4u.measures.excess import Reference
-    from pb4u.simulation.first_frame import Settled
     from pb4u.simulation.simulator import RunRecord
     from pb4u.simulation.stepwise_simulator import SolverSimulator
     from pb4u.simulation.timeline import Timeline
 
     scene, _ = _scene(run, run.fps)
-    timeline = Timeline.of(scene)
-    first = next(iter(Settled().states(timeline, SolverSimulator().method(timeline, RunRecord()))))
-    return Reference.of(timeline, first, scene.total_frames, scene.lead_in)
+    timeline, solver = Timeline.of(scene), SolverSimulator()
+    first = solver.first_frame.start(timeline, solver.method(timeline, RunRecord())).state
+    return Reference.of(solver.potential, timeline, first, scene.total_frames, scene.lead_in)
 
 
 def _distance(run: Run, trajectory: Trajectory) -> dict[str, Any]:
@@ -368,7 +368,7 @@ def entry_of(value: str, file: str) -> str:
 
 def _plain(specification: object, files: Mapping[str, list[str]]) -> Any:
     """A specification as JSON, files by their names and contents."""
-    if isinstance(specification, Run | WornGarment):
+    if isinstance(specification, Run | WornGarment | Environment):
         return {each.name: _plain(getattr(specification, each.name), files) for each in fields(specification)}
     if isinstance(specification, tuple):
         return [_plain(each, files) for each in specification]

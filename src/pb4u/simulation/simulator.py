@@ -19,6 +19,7 @@ from pb4u.body.body_model import PosedBody
 from pb4u.errors import Pb4uError, interrupt_behind
 from pb4u.physics.solver.newton_solver import Solution
 from pb4u.progress import Progress, no_progress, progress_or_bar
+from pb4u.run import Run
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
@@ -135,7 +136,7 @@ class Simulator(ABC):
                 yield Frame(
                     state.positions.detach().cpu().numpy().astype(np.float32),
                     state.velocities.detach().cpu().numpy().astype(np.float32),
-                    np.concatenate([body.positions(frame, frame + 1)[0].numpy() for body in scene.colliders]),
+                    _body_positions(scene, frame),
                 )
 
     def simulate(self, scene: Scene, progress: Progress | None = None) -> Trajectory:
@@ -206,8 +207,8 @@ class Simulator(ABC):
             "propagation_steps": self.propagation_steps(scene),
             "seed": scene.seed,
             "versions": {"pb4u": __version__, "torch": torch.__version__, "numpy": np.__version__},
-            "gravity": scene.gravity.tolist(),
-            "ground_height": scene.ground_height,
+            **scene.environment.metadata,
+            "rest_shape": scene.labels.get("rest_shape", Run.rest_shape),
             "lead_in": scene.lead_in,
             "heading": _heading(scene),
             "notes": list(scene.notes),
@@ -230,6 +231,12 @@ class SkinningSimulator(Simulator):
                 velocities = (positions - (positions if previous is None else previous)) / scene.dt
                 previous = positions
                 yield State(positions, velocities, start + offset)
+
+
+def _body_positions(scene: Scene, frame: int) -> np.ndarray:
+    """Vertices (body vertices, 3) float32 [m] of all bodies at a frame."""
+    positions = [body.positions(frame, frame + 1)[0].numpy() for body in scene.colliders]
+    return np.concatenate([np.zeros((0, 3), dtype=np.float32), *positions])
 
 
 def _heading(scene: Scene) -> float:

@@ -19,9 +19,11 @@ from pb4u.errors import InputError, InputWarning
 from pb4u.network.acceleration_model import require_propagation_steps
 from pb4u.network.graph.features import ADVANCE
 from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.integrator import IMPLICIT_EULER, Integrator
 from pb4u.physics.solver.implicit_steps import free_flight
 from pb4u.physics.solver.newton_solver import Solution
 from pb4u.physics.time_step import DivergedError, TimeStep, require_finite
+from pb4u.run import Run
 from pb4u.scene.colliders import ColliderPose
 from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.scene import Scene
@@ -29,12 +31,12 @@ from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint
 from pb4u.simulation.device_steps import bytes_a_vertex, require_memory, states_after
 from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
-from pb4u.simulation.network_pass import NetworkPass
+from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 from pb4u.simulation.pass_search import search_of
 from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.refinement import ImplicitSteps, SafeguardedRefinement
 from pb4u.simulation.simulator import RunRecord, Simulator
-from pb4u.simulation.step import StepMethod, take
+from pb4u.simulation.step import StepMethod, Taken, take
 from pb4u.simulation.step_start import BodyMotionWarmStart, start_of
 from pb4u.simulation.timeline import Timeline
 from pb4u.threads import prefetch
@@ -49,18 +51,24 @@ class StepwiseSimulator(Simulator):
             the cloth is stretched beyond measure and still falling; 0 for none.
         contact: pushes out vertices left inside the body; none by default.
         first_frame: makes frame 0; by default one long step of the method's own.
-        potential: the energies, and whether cloth feels cloth; the six terms by default.
+        potential: the energies, and whether cloth feels cloth. First frame, start of a step, gradient feature and
+            search of a network, and the solver all descend it. The six terms by default.
+        integrator: of the steps.
     """
 
     refine: int = 0
     contact: ContactResponse | None = None
     first_frame: FirstFrame = field(default_factory=OneLongStep)
     potential: IncrementalPotential = field(default_factory=IncrementalPotential)
+    integrator: Integrator = IMPLICIT_EULER
 
     def settings(self) -> dict[str, Any]:
         return {
             "contact": self.contact is not None,
             "self_contact": self.potential.self_contact is not None,
+            "time_integration": self.integrator.name,
+            "friction_law": Run.friction_law,
+            "air": Run.air,
         }
 
     @abstractmethod
@@ -78,7 +86,7 @@ class StepwiseSimulator(Simulator):
         Args:
             record: counts the steps that are retried.
         """
-        return SafeguardedRefinement(self.refine, self.potential, record.count_retried) if self.refine else None
+        return SafeguardedRefinement(self.potential, self.refine, record.count_retried) if self.refine else None
 
     def rollout(self, scene: Scene, record: RunRecord) -> Iterator[State]:
         timeline = self.timeline(scene)
@@ -108,14 +116,15 @@ class StepwiseSimulator(Simulator):
             record.failed_at = made - scene.lead_in
 
     def _moved(self, timeline: Timeline, method: StepMethod, scene: Scene) -> Iterator[State]:
-        for state in self.first_frame.states(timeline, method):
-            yield state
+        for taken in self.first_frame.states(timeline, method):
+            yield taken.state
         if method.network is not None and method.refinement is not None:
             # The solver alone leads to the same drape in half of the time; the network takes over with the first frame.
-            for led in self.steps(timeline, replace(method, network=None), state, scene.led_frames):
-                state = led
-                yield state
-        yield from self.steps(timeline, method, state, scene.total_frames)
+            for led in self.steps(timeline, replace(method, network=None), taken, scene.led_frames):
+                taken = led
+                yield taken.state
+        for made in self.steps(timeline, method, taken, scene.total_frames):
+            yield made.state
 
     def timeline(self, *scenes: Scene) -> Timeline:
         """Frames of scenes, each in a world of its own, on the device that takes their steps.
@@ -130,20 +139,20 @@ class StepwiseSimulator(Simulator):
         """
         cloth = self.potential.self_contact
         touched = self.contact is not None or (cloth is not None and cloth.feels_bodies)
-        return Timeline.of_worlds(scenes, opens_folds=touched)
+        return Timeline.of_worlds(scenes, opens_folds=touched, integrator=self.integrator)
 
-    def steps(self, timeline: Timeline, method: StepMethod, state: State, frames: int) -> Iterator[State]:
-        """States after `state`, one a frame.
+    def steps(self, timeline: Timeline, method: StepMethod, taken: Taken, frames: int) -> Iterator[Taken]:
+        """States after that of `taken`, one a frame.
 
         Args:
             timeline: garments and bodies.
             method: takes the steps.
-            state: of the last frame that was made in a way of its own.
+            taken: the last frame that was made in a way of its own.
             frames: total number of frames.
         """
-        for _ in range(state.frame + 1, frames):
-            state = take(timeline.step_from(state), method)
-            yield state
+        for _ in range(taken.state.frame + 1, frames):
+            taken = take(timeline.step_from(taken.state), method, taken.last_move)
+            yield taken
 
 
 @dataclass(eq=False)
@@ -172,9 +181,9 @@ class SolverSimulator(StepwiseSimulator):
             record.unsolved += not solution.converged
 
         refinement = ImplicitSteps(
-            self.iterations, potential=self.potential, watch=note, start=self.start, retried=record.count_retried
+            self.potential, self.iterations, watch=note, start=self.start, retried=record.count_retried
         )
-        return StepMethod(refinement=refinement, contact=self.contact, self_contact=self.potential.self_contact)
+        return StepMethod(refinement=refinement, contact=self.contact, potential=self.potential)
 
 
 @dataclass(eq=False)
@@ -197,8 +206,8 @@ class QuickSolver(StepwiseSimulator):
         return {**super().settings(), "refine": self.refine, "device": "cpu"}
 
     def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
-        refinement, cloth = self.refinement(record), self.potential.self_contact
-        return StepMethod(BodyMotionWarmStart(), None, refinement, self.contact, cloth)
+        start = BodyMotionWarmStart(self.potential)
+        return StepMethod(start, None, self.refinement(record), self.contact, self.potential)
 
 
 class NetworkSimulator(StepwiseSimulator):
@@ -281,7 +290,7 @@ class NetworkSimulator(StepwiseSimulator):
         """
 
         def shared(scene: Scene) -> tuple[object, ...]:
-            return scene.fps, tuple(scene.gravity.tolist()), scene.ground_height, bool(scene.colliders)
+            return scene.fps, scene.environment, bool(scene.colliders)
 
         free, _ = torch.cuda.mem_get_info(self.device)
         packs: list[list[int]] = []
@@ -348,11 +357,8 @@ class NetworkSimulator(StepwiseSimulator):
         while rooms.grow(*rooms.taken()):
             # Searches were short of room.
             first = self.first_frame.start(timeline, method)
-        yield first
-        yield from self.steps(timeline, method, first, scene.total_frames)
-
-    def steps(self, timeline: Timeline, method: StepMethod, state: State, frames: int) -> Iterator[State]:
-        return (states_after if self.on_card else super().steps)(timeline, method, state, frames)
+        yield first.state
+        yield from states_after(timeline, method, first, scene.total_frames)
 
     @property
     def on_card(self) -> bool:
@@ -362,6 +368,7 @@ class NetworkSimulator(StepwiseSimulator):
             and not self.refine
             and self.contact is None
             and self.potential.self_contact is None
+            and self.integrator is IMPLICIT_EULER
             and isinstance(self.first_frame, (OneLongStep, AsPlaced))
         )
 
@@ -383,12 +390,12 @@ class NetworkSimulator(StepwiseSimulator):
         garments: PackedGarments = pack(timeline.garments.garments, torch.float32, self.device, worlds)
         model = self.checkpoint.model
         prepared = (model if self.refine else self.checkpoint).prepare(garments, self.override)
-
+        features = StepFeatures(prepared, self.potential)
         return StepMethod(
-            start_of(model.network),
-            NetworkPass(model, prepared, self.passes, further=self.further),
+            start_of(model.network, self.potential),
+            NetworkPass(model, prepared, features, self.passes, further=self.further),
             self.refinement(record),
             self.contact,
-            self.potential.self_contact,
-            search_of(model.network),
+            self.potential,
+            search_of(model.network, self.potential),
         )

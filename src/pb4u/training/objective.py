@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from torch import Tensor
 
+from pb4u.environment import STANDARD_GRAVITY
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import PreparedGarments
 from pb4u.physics.incremental_potential import IncrementalPotential
@@ -13,7 +14,6 @@ from pb4u.physics.step_potential import Energies
 from pb4u.physics.terms.collision import Collision
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
-from pb4u.scene.scene import STANDARD_GRAVITY
 
 REFERENCE_WEIGHT = 5e3
 """Weight of the collision term at which losses of different times are compared [J/m^3]."""
@@ -36,7 +36,11 @@ class Inside(Collision):
     name = "inside"
 
 
-LOSS_TERMS = (*IncrementalPotential().names, Inside.name)
+LOSS_POTENTIAL = IncrementalPotential()
+"""The six energies of the paper, which training descends: its loss, the start, the feature and the search of its
+steps."""
+
+LOSS_TERMS = (*LOSS_POTENTIAL.names, Inside.name)
 """Names of the terms that a loss may have."""
 
 
@@ -49,9 +53,10 @@ def step_energies(step: TimeStep, positions: Tensor, collision_weight: float, in
         collision_weight: weight of the collision term [J/m^3].
         inside_weight: weight of the term for what is inside the skin [J/m^3]; 0 for none.
     """
-    inside = [Inside(weight=inside_weight)] if inside_weight else []
-    potential = IncrementalPotential().with_term(Collision(weight=collision_weight))
-    return replace(potential, terms=(*potential.terms, *inside)).of(step).energies(positions)
+    potential = LOSS_POTENTIAL.with_term(Collision(weight=collision_weight))
+    if inside_weight:
+        potential = potential.with_term(Inside(weight=inside_weight))
+    return potential.of(step).energies(positions)
 
 
 def mean_energies(energies: Energies) -> dict[str, Tensor]:

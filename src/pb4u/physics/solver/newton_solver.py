@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.environment import STANDARD_GRAVITY
 from pb4u.physics.contact.self_contact import ClothPairs
 from pb4u.physics.solver.contact_tracking import TrackedContact, moved_off_the_body
 from pb4u.physics.solver.linear_solver import LinearSolution, conjugate_gradient
@@ -26,7 +27,6 @@ from pb4u.physics.terms.pair_stiffness import PairStiffness
 from pb4u.physics.terms.stiffness_matrix import StiffnessPattern
 from pb4u.physics.time_step import DivergedError
 from pb4u.scene.packed import PackedGarments
-from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.threads import without_library_threads
 
 _SUFFICIENT_DECREASE = 1e-4
@@ -223,7 +223,7 @@ class Solver:
         garments, stiffness = frozen.step.garments, frozen.stiffness(x, self._pattern)
         pairs = PairStiffness.summed(frozen.pair_stiffness(x), self._pattern.free)
         preconditioner.update(stiffness.matrix(), pairs)
-        mass = (garments.vertex_masses / frozen.step.dt**2).numpy()
+        mass = (garments.vertex_masses / frozen.step.inertial_dt**2).numpy()
         slope, spent, negative = gradient.numpy().copy(), 0, None
 
         def solve(forcing: float, start: np.ndarray | None = None) -> np.ndarray:
