@@ -8,11 +8,12 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from benchmarks import self_contact, training
+from benchmarks import comparison, self_contact, training
 from benchmarks.network import measure, on_a_body
 
 from pb4u.garment.library import garment_names
 from pb4u.motion.library import motion_names
+from pb4u.run import Run
 
 BENCHMARKS = sorted(path.stem for path in (Path(__file__).parents[2] / "benchmarks").glob("*.py"))
 IN_BLENDER = "blender_cloth"
@@ -42,3 +43,20 @@ def test_the_clips_in_contact_are_of_garments_and_motions_that_are_there() -> No
         assert {worn.garment for worn in run.garments} <= set(garment_names())
         assert run.motion in motion_names()
     assert [run.seed for run in clips["drawn"]] == list(range(20, 40))
+
+
+def test_the_comparison_scenes_say_all_that_keeps_them_as_they_are() -> None:
+    scenes = sorted(comparison.SCENES.glob("*.toml"))
+    assert len(scenes) == 10
+    for scene in scenes:
+        text, run = scene.read_text(), Run.open(scene)
+        assert [entry for entry in comparison.LATER if f"\n{entry} = " not in text] == []
+        assert (run.rest_shape, run.friction_law, run.time_integration, run.air) == (
+            "moulded", "paper", "implicit-euler", False,
+        )  # fmt: skip
+        assert all(worn.material == "default" and worn.triangles == 2500 for worn in run.garments)
+
+
+def test_the_ratio_of_two_sides_lies_in_its_interval() -> None:
+    middle, low, high = comparison.ratio([2.0, 2.2, 1.9, 2.1], [1.0, 1.1, 0.9, 1.0])
+    assert low <= middle == pytest.approx(2.05) <= high
