@@ -31,11 +31,12 @@ from torch.utils.flop_counter import flop_registry
 from pb4u.collision.rooms import Rooms
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.network.registry import NETWORKS
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
 from pb4u.simulation.checkpoint import built_in_models, from_pretrained
 from pb4u.simulation.device_steps import states_after
-from pb4u.simulation.network_pass import NetworkPass
+from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 from pb4u.simulation.pass_search import search_of
 from pb4u.simulation.step import StepMethod, predictions
 from pb4u.simulation.step_start import start_of
@@ -187,8 +188,10 @@ def method_of(model: AccelerationModel, timeline: Timeline) -> StepMethod:
     network = model.network
     prepared = model.prepare(timeline.garments.to(timeline.garments.device, torch.float32))
     c = network.configuration
-    passes = NetworkPass(model, prepared, c.passes, further=c.further_passes)
-    return StepMethod(start_of(network), passes, search=search_of(network))
+    potential = IncrementalPotential()
+    features = StepFeatures(prepared, potential)
+    passes = NetworkPass(model, prepared, features, c.passes, further=c.further_passes)
+    return StepMethod(start_of(network, potential), passes, search=search_of(network, potential))
 
 
 def count(name: str, *scenes: Scene, card: torch.device = CARD) -> tuple[Counted, str]:

@@ -88,8 +88,8 @@ def test_frames_that_are_skinned_cross_nowhere_where_cloth_feels_cloth(start: An
     timeline = Timeline.of(replace(scene, garments=worn))
     faces = timeline.garments.faces.numpy()
     assert len(self_crossings(timeline.skinned(0).numpy(), faces)) > 0
-    cloth = IncrementalPotential().with_self_contact().self_contact
-    for state in start.states(timeline, StepMethod(network=Raised(), self_contact=cloth)):
+    apart = IncrementalPotential().with_self_contact()
+    for state in start.states(timeline, StepMethod(network=Raised(), potential=apart)):
         assert len(self_crossings(state.positions.numpy(), faces, sharing=True)) == 0, state.frame
 
 

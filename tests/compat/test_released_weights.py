@@ -15,8 +15,9 @@ from tests.simulation.released_files import made_checkpoint
 from pb4u.compat.released_methods import METHODS
 from pb4u.compat.released_weights import UNKNOWN_LICENCE, read_released
 from pb4u.errors import InputError
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.simulation.checkpoint import Checkpoint, load_checkpoint
-from pb4u.simulation.network_pass import NetworkPass
+from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 
 GOLDEN = {
     "pb4u": ("checkpoints/pb4u.pth", "pb4u_dress", "pb4u_skirt"),
@@ -67,7 +68,10 @@ def test_contourcraft_with_the_edges_that_its_code_found_is_met(compat: Path, ca
         model, step = released.checkpoint(dtype).model, golden.time_step(number, dtype)
         prepared = model.prepare(step.garments, dtype=dtype)
         prepared = replace(prepared, builder=replace(prepared.builder, finder=GoldenEdges(golden, number)))
-        network, nothing = NetworkPass(model, prepared), torch.zeros_like(step.state.positions)
+        network, nothing = (
+            NetworkPass(model, prepared, StepFeatures(prepared, IncrementalPotential())),
+            torch.zeros_like(step.state.positions),
+        )
         acceleration = network.correction(step, nothing)
         assert np.abs(acceleration.numpy() - golden.value(number, "pred_acceleration")).max() < bound
         edges = network.graph(step, nothing).edges["body_to_garment"]

@@ -10,7 +10,7 @@ import pytest
 import torch
 import trimesh
 from hypothesis import example, given, settings, strategies as st
-from tests.laws.test_self_contact import OneMethod, methods
+from tests.laws.test_self_contact import PAIRED, OneMethod, methods
 from tests.simulation.ball_scene import sheet
 
 from pb4u.body.animated_body import AnimatedBody
@@ -18,7 +18,6 @@ from pb4u.collision import collision_free
 from pb4u.collision.crossings import crossings, self_crossings
 from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.physics.contact.obstacle import Obstacle
-from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.terms.friction import Friction
 from pb4u.scene.scene import STANDARD_GRAVITY, DressedGarment, Scene
@@ -113,7 +112,7 @@ def crossed(scene: Scene, states: Iterator) -> list[int]:
 def test_no_step_of_any_kind_brings_a_body_through_cloth(name: str, method: str) -> None:
     scene = scene_of(name)
     start, network, refinement, contact, first = METHODS[method]
-    taken = StepMethod(start, network, refinement, contact, FELT.self_contact)
+    taken = StepMethod(start, network, refinement, contact, FELT)
     record = RunRecord()
     counts = crossed(scene, OneMethod(first, taken).rollout(scene, record))
     assert record.failed_at is None
@@ -122,8 +121,8 @@ def test_no_step_of_any_kind_brings_a_body_through_cloth(name: str, method: str)
 
 def test_without_it_the_spike_comes_through() -> None:
     scene = scene_of("spike comes up")
-    start, network, refinement, contact, first = methods(IncrementalPotential().with_self_contact())["quick solver"]
-    taken = StepMethod(start, network, refinement, contact, CollisionFree())
+    start, network, refinement, contact, first = methods(PAIRED)["quick solver"]
+    taken = StepMethod(start, network, refinement, contact, PAIRED)
     assert max(crossed(scene, OneMethod(first, taken).rollout(scene, RunRecord()))) > 0
 
 
@@ -210,9 +209,7 @@ def test_two_bodies_that_close_on_cloth_are_let_through_it() -> None:
     scene = Scene((DressedGarment(garment, placed),), bodies, FRAMES, ground_height=None)
     start, network, refinement, contact, first = METHODS["quick solver"]
     record = RunRecord()
-    states = list(
-        OneMethod(first, StepMethod(start, network, refinement, contact, FELT.self_contact)).rollout(scene, record)
-    )
+    states = list(OneMethod(first, StepMethod(start, network, refinement, contact, FELT)).rollout(scene, record))
     assert record.failed_at is None
     lengths = (states[-1].positions[torch.from_numpy(garment.topology.edges)].diff(dim=1)).norm(dim=2)[:, 0].numpy()
     assert (lengths / garment.edge_lengths).max() < 3.0
@@ -261,7 +258,7 @@ def rode(coefficient: float, share: float, frames: int = 10, settling: int = 4) 
     placed = PrescribedPlacement(np.repeat(garment.vertices[None], len(path), axis=0))
     scene = Scene((DressedGarment(garment, placed),), (Rigid(plate, path),), len(path), ground_height=None)
     potential = FELT.with_term(Friction())
-    method = StepMethod(refinement=ImplicitSteps(potential=potential), self_contact=FELT.self_contact)
+    method = StepMethod(refinement=ImplicitSteps(potential), potential=potential)
     *_, last = OneMethod(AsPlaced(), method).rollout(scene, RunRecord())
     way = (last.positions.numpy() - garment.vertices)[:, 0].mean()
     return float(last.velocities[:, 0].mean()) / (limit * seconds[-1]), float(path[-1, 0] - way)

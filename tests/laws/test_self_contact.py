@@ -16,7 +16,6 @@ from pb4u.collision.collision_free import SMALLEST_GAP
 from pb4u.errors import InputError
 from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.garment.garment import Garment
-from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import substep_count
 from pb4u.physics.solver.newton_solver import Solver
@@ -346,25 +345,25 @@ Parts = tuple[BodyMotionWarmStart | None, Any, SolverRefinement | None, ContactR
 def methods(potential: IncrementalPotential) -> dict[str, Parts]:
     """Methods of every kind with the contact of `potential`."""
     return {
-        "solver": (None, None, ImplicitSteps(potential=potential), ContactResponse(), AsPlaced()),
+        "solver": (None, None, ImplicitSteps(potential), ContactResponse(), AsPlaced()),
         "solver, two iterations": (
-            None, None, ImplicitSteps(2, potential=potential), None, AsPlaced(),
+            None, None, ImplicitSteps(potential, 2), None, AsPlaced(),
         ),
         "network alone": (
-            BodyMotionWarmStart((0.5, 1.0)), Careless(), None, ContactResponse(),
+            BodyMotionWarmStart(potential, (0.5, 1.0)), Careless(), None, ContactResponse(),
             OneLongStep(),
         ),
         "network and one": (
-            BodyMotionWarmStart((0.5, 1.0)), Careless(), SolverRefinement(1, potential=potential), ContactResponse(),
-            Settled(potential=potential),
+            BodyMotionWarmStart(potential, (0.5, 1.0)), Careless(), SolverRefinement(potential, 1), ContactResponse(),
+            Settled(),
         ),
         "network and five": (
-            BodyMotionWarmStart((0.5, 1.0)), Careless(),
-            SafeguardedRefinement(5, potential), ContactResponse(), AsPlaced(),
+            BodyMotionWarmStart(potential, (0.5, 1.0)), Careless(),
+            SafeguardedRefinement(potential, 5), ContactResponse(), AsPlaced(),
         ),
         "quick solver": (
-            BodyMotionWarmStart((0.5, 1.0)), None,
-            SafeguardedRefinement(5, potential), ContactResponse(), AsPlaced(),
+            BodyMotionWarmStart(potential, (0.5, 1.0)), None,
+            SafeguardedRefinement(potential, 5), ContactResponse(), AsPlaced(),
         ),
     }  # fmt: skip
 
@@ -379,7 +378,7 @@ def test_no_step_of_any_kind_leaves_cloth_crossing(scene: str, method: str) -> N
     frames = 4
     placed, states = dropped(surface, frames, speed, pins)
     start, network, refinement, contact, first = METHODS[method]
-    taken = StepMethod(start, network, refinement, contact, CollisionFree())
+    taken = StepMethod(start, network, refinement, contact, PAIRED)
     assert states.crossing(states.before) == 0
     record = RunRecord()
     timeline = Timeline.of(placed)
@@ -414,7 +413,7 @@ def test_cloth_that_starts_crossing_is_free_from_its_first_frame(method: str) ->
     surface = stack(2, 1e-3, cells=4)
     scene = crossed(surface)
     start, network, refinement, contact, first = METHODS[method]
-    simulator = OneMethod(first, StepMethod(start, network, refinement, contact, CollisionFree()))
+    simulator = OneMethod(first, StepMethod(start, network, refinement, contact, PAIRED))
     assert surface.crossing(Timeline.of(scene).skinned_state(0).positions.numpy()) > 3
     states = list(simulator.rollout(scene, RunRecord()))
     assert [surface.crossing(state.positions.numpy()) for state in states] == [0, 0, 0]
@@ -428,7 +427,7 @@ def test_cloth_that_cannot_be_parted_is_refused_before_anything_moves(method: st
         for worn in scene.garments
     ]
     start, network, refinement, contact, first = METHODS[method]
-    simulator = OneMethod(first, StepMethod(start, network, refinement, contact, CollisionFree()))
+    simulator = OneMethod(first, StepMethod(start, network, refinement, contact, PAIRED))
     with pytest.raises(InputError, match=r"part and part \(2\) cross in \d+ pairs"):
         next(simulator.rollout(replace(scene, garments=tuple(held)), RunRecord()))
 
@@ -445,7 +444,7 @@ def test_cloth_that_touches_none_has_the_energies_that_it_had_without() -> None:
     scene, _ = dropped(stack(1, 0.0, cells=6), 6, 0.3)
     states = []
     for potential in (IncrementalPotential(), PAIRED):
-        method = StepMethod(refinement=ImplicitSteps(potential=potential), self_contact=potential.self_contact)
+        method = StepMethod(refinement=ImplicitSteps(potential), potential=potential)
         states.append(list(OneMethod(AsPlaced(), method).rollout(scene, RunRecord()))[-1].positions)
     garments = Timeline.of(scene).garments
     energies = [IncrementalPotential().of(time_step(garments, State(x, torch.zeros_like(x), 0))) for x in states]

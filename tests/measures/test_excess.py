@@ -15,6 +15,7 @@ from pb4u.measures.run_report import run_report
 from pb4u.network.acceleration_model import GraphNetwork
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.paper.controls import GRADIENT_DESCENT, WARM_START, ControlSimulator
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.stepwise_simulator import SolverSimulator
@@ -33,7 +34,7 @@ def solved() -> Trajectory:
 @pytest.fixture(scope="module")
 def reference() -> Reference:
     timeline = Timeline.of(ball_scene(frames=8))
-    return Reference.of(timeline, timeline.skinned_state(0), 8, every=2)
+    return Reference.of(IncrementalPotential(), timeline, timeline.skinned_state(0), 8, every=2)
 
 
 def floating(like: Trajectory) -> Trajectory:

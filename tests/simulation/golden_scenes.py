@@ -15,12 +15,13 @@ from pb4u.network.graph.builder import FoundEdges
 from pb4u.network.graph.graph import BODY, GARMENT, Graph
 from pb4u.network.graph.incidence import incidence
 from pb4u.network.graph.pins import SeenGarments
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.colliders import ColliderFrame, PackedColliders, pack_colliders
 from pb4u.scene.packed import pack
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint
-from pb4u.simulation.network_pass import NetworkPass
+from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 
 # Columns that the released code normalises, by the table of ours that holds them.
 NODE = {"velocity": 3, "type": 9, "level": 4, "normal": 3, "time_step": 1, "vertex_mass": 1, "material": 3}
@@ -121,7 +122,7 @@ class GoldenEdges:
 def predicted(checkpoint: Checkpoint, step: TimeStep) -> tuple[Graph, Tensor, State]:
     """Graph that the network sees, its accelerations (vertices, 3) and the state after the step."""
     prepared = checkpoint.model.prepare(step.garments, dtype=step.garments.dtype)
-    network = NetworkPass(checkpoint.model, prepared)
+    network = NetworkPass(checkpoint.model, prepared, StepFeatures(prepared, IncrementalPotential()))
     nothing = torch.zeros_like(step.state.positions)
     with torch.no_grad():
         acceleration = network.correction(step, nothing)

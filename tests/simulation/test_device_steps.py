@@ -25,11 +25,12 @@ from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.network.registry import NETWORKS
 from pb4u.physics.contact.contact_set import ContactPlanes
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.scene.scene import DressedGarment, Scene
 from pb4u.simulation.checkpoint import from_pretrained
 from pb4u.simulation.device_steps import states_after
 from pb4u.simulation.models import load_simulator
-from pb4u.simulation.network_pass import NetworkPass
+from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 from pb4u.simulation.pass_search import eigenvectors, search_of
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.step import StepMethod, predictions
@@ -40,6 +41,7 @@ from pb4u.simulation.timeline import Timeline
 from pb4u.training.distribution import workers
 
 ROOT = Path(__file__).parents[2]
+SIX = IncrementalPotential()
 
 
 def method_of(model: AccelerationModel, timeline: Timeline) -> StepMethod:
@@ -47,8 +49,8 @@ def method_of(model: AccelerationModel, timeline: Timeline) -> StepMethod:
     dtype = next(model.parameters()).dtype
     prepared = model.prepare(timeline.garments, dtype=dtype)
     c = network.configuration
-    passes = NetworkPass(model, prepared, c.passes, further=min(c.further_passes, 2))
-    return StepMethod(start_of(network), passes, search=search_of(network))
+    passes = NetworkPass(model, prepared, StepFeatures(prepared, SIX), c.passes, further=min(c.further_passes, 2))
+    return StepMethod(start_of(network, SIX), passes, search=search_of(network, SIX))
 
 
 def on_host(model: AccelerationModel, steps: int) -> list[torch.Tensor]:

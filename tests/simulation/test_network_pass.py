@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -12,9 +13,10 @@ from ball_scene import ball_scene
 from torch import Tensor
 
 from pb4u.errors import InputError
-from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.network.acceleration_model import AccelerationModel, PreparedGarments
 from pb4u.network.graph.features import ADVANCE, DESCENT, Feature, FeatureLayout
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.packed import pack
 from pb4u.scene.state import State
@@ -26,6 +28,7 @@ from pb4u.simulation.step_start import BodyMotionWarmStart
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
 from pb4u.simulation.timeline import Timeline
 
+SIX = IncrementalPotential()
 TINY = Pb4uConfiguration(width=8, blocks=1, layout=FeatureLayout(extra=(DESCENT, ADVANCE)), passes=3)
 
 
@@ -46,9 +49,13 @@ def prepared_for(network: AccelerationModel, at: TimeStep):
     return network.prepare(pack(at.garments.garments, torch.float32))
 
 
+def pass_of(network: AccelerationModel, prepared: PreparedGarments, passes: int = 1, **common: Any) -> NetworkPass:
+    return NetworkPass(network, prepared, StepFeatures(prepared, SIX), passes, **common)
+
+
 def test_descent_sees_where_earlier_passes_would_end() -> None:
     at = a_step()
-    features = StepFeatures(prepared_for(model(), at))
+    features = StepFeatures(prepared_for(model(), at), SIX)
     nothing = torch.zeros_like(at.state.positions)
     free = features.of(at, nothing)
     moved = features.of(at, nothing + torch.tensor([0.0, 0.0, 2e-3], dtype=nothing.dtype))
@@ -59,7 +66,7 @@ def test_descent_sees_where_earlier_passes_would_end() -> None:
 
 def test_descent_is_bounded_however_bad_the_state() -> None:
     at = a_step()
-    features = StepFeatures(prepared_for(model(), at))
+    features = StepFeatures(prepared_for(model(), at), SIX)
     wild = 0.3 * torch.randn(at.state.positions.shape, generator=torch.Generator().manual_seed(2)).double()
     assert float(features.of(at, wild)["descent"].norm(dim=1).max()) < 1.0
 
@@ -67,7 +74,7 @@ def test_descent_is_bounded_however_bad_the_state() -> None:
 def test_a_descent_is_shown_at_one_size_and_predictions_scaled_back() -> None:
     at = a_step()
     sized = replace(TINY, descent_size=0.03)
-    features, plain = StepFeatures(prepared_for(model(sized), at)), StepFeatures(prepared_for(model(), at))
+    features, plain = StepFeatures(prepared_for(model(sized), at), SIX), StepFeatures(prepared_for(model(), at), SIX)
     nothing = torch.zeros_like(at.state.positions)
     shown, factors = features.scaled(at, nothing)
     assert float(shown["descent"].square().sum(1).mean().sqrt()) == pytest.approx(0.03, rel=1e-5)
@@ -85,7 +92,7 @@ def test_a_pass_near_the_minimum_is_as_one_far_from_it() -> None:
     at, network = a_step(), model(sized)
     moves = []
     for share in (1.0, 0.1):
-        asked = NetworkPass(network, prepared_for(network, at), 1)
+        asked = pass_of(network, prepared_for(network, at), 1)
         asked.features.of = lambda step, reached, share=share: {"descent": share * 1e-2 * step.state.velocities}
         moves.append(asked.correction(at, torch.zeros_like(at.state.positions)))
     assert float(moves[0].norm()) > 0.0
@@ -94,7 +101,7 @@ def test_a_pass_near_the_minimum_is_as_one_far_from_it() -> None:
 
 def test_cloth_at_rest_is_not_shown_larger_than_it_is() -> None:
     at = a_step()
-    features = StepFeatures(prepared_for(model(replace(TINY, descent_size=0.03)), at))
+    features = StepFeatures(prepared_for(model(replace(TINY, descent_size=0.03)), at), SIX)
     features.of = lambda step, reached: {"descent": torch.zeros_like(reached), "advance": reached}
     shown, factors = features.scaled(at, torch.zeros_like(at.state.positions))
     assert not shown["descent"].any()
@@ -111,13 +118,13 @@ def test_every_pass_starts_where_the_last_left_off() -> None:
     at = a_step()
     network = model()
     prepared = prepared_for(network, at)
-    features = StepFeatures(prepared)
+    features = StepFeatures(prepared, SIX)
     found = torch.zeros_like(at.state.positions)
     with torch.no_grad():
         for _ in range(3):
             graph = prepared.graph(at.state, at.collider, at.dt, local_origins(at.collider, 1), features.of(at, found))
             found = found + network(graph, prepared).to(found)
-    taken = take(at, StepMethod(network=NetworkPass(network, prepared, 3)))
+    taken = take(at, StepMethod(network=pass_of(network, prepared, 3)))
     assert torch.allclose(taken.positions, integrate(at, found).positions, atol=1e-7)
 
 
@@ -142,11 +149,11 @@ def test_training_takes_a_pass_at_a_time() -> None:
     start: BodyMotionWarmStart | None = None
     free = integrate(at, torch.zeros_like(at.state.positions)).positions
     for _ in range(3):
-        before, reached = states(at, StepMethod(start, NetworkPass(network, prepared, mode=nullcontext)))
+        before, reached = states(at, StepMethod(start, pass_of(network, prepared, mode=nullcontext)))
         assert not before.positions.requires_grad
         start = Reached((reached.positions - free).detach())
     assert reached.positions.requires_grad
-    all_passes = StepMethod(None, NetworkPass(network, prepared, 3, mode=nullcontext))
+    all_passes = StepMethod(None, pass_of(network, prepared, 3, mode=nullcontext))
     *earlier, last = states(at, all_passes)
     assert len(earlier) == 3
     assert torch.allclose(last.positions, reached.positions, atol=1e-9)
@@ -160,7 +167,7 @@ def test_a_feature_that_nothing_makes_is_refused() -> None:
     at = a_step()
     network = model(replace(TINY, layout=FeatureLayout(extra=(unknown,)), passes=1))
     with pytest.raises(InputError, match="colour"):
-        StepFeatures(prepared_for(network, at))
+        StepFeatures(prepared_for(network, at), SIX)
 
 
 def test_less_than_one_pass_is_refused() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -25,12 +26,14 @@ from pb4u.scene.packed import pack
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
 from pb4u.simulation.models import load_simulator
-from pb4u.simulation.network_pass import NetworkPass
+from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 from pb4u.simulation.pass_search import PassSearch, conjugate_move, search_of
 from pb4u.simulation.step import StepMethod, predictions
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
 from pb4u.simulation.timeline import Timeline
 
+SIX = IncrementalPotential()
+SEARCH = partial(conjugate_move, SIX)
 CONJUGATE = Pb4uConfiguration(
     width=8, blocks=1, layout=FeatureLayout(extra=(DESCENT, ADVANCE)), passes=2, conjugate=True
 )
@@ -78,23 +81,23 @@ def test_whole_passes_are_what_the_network_predicts() -> None:
 @pytest.mark.parametrize("share", [0.2, 3.0, -1.0])
 def test_the_length_of_a_pass_does_not_matter(share: float) -> None:
     at = sheets(10)
-    start, one = energies_after(at, StepMethod(network=JacobiPass(1), search=conjugate_move))
-    _, other = energies_after(at, StepMethod(network=JacobiPass(1, share), search=conjugate_move))
+    start, one = energies_after(at, StepMethod(network=JacobiPass(1), search=SEARCH))
+    _, other = energies_after(at, StepMethod(network=JacobiPass(1, share), search=SEARCH))
     assert one < start
     assert other == pytest.approx(one, abs=0.02 * (start - one))
 
 
 def test_passes_are_joined_into_a_conjugate_gradient() -> None:
     at = sheets(10)
-    lowest = energies_after(at, StepMethod(network=JacobiPass(100), search=conjugate_move))[-1]
+    lowest = energies_after(at, StepMethod(network=JacobiPass(100), search=SEARCH))[-1]
     whole = energies_after(at, StepMethod(network=JacobiPass(20, 0.5)))
-    joined = energies_after(at, StepMethod(network=JacobiPass(20, 0.5), search=conjugate_move))
+    joined = energies_after(at, StepMethod(network=JacobiPass(20, 0.5), search=SEARCH))
     assert joined == sorted(joined, reverse=True), "no pass adds energy"
     assert joined[-1] - lowest < 0.1 * (whole[-1] - lowest)
 
 
 def test_the_last_move_serves_the_next_step() -> None:
-    at, method = sheets(10), StepMethod(network=JacobiPass(1), search=conjugate_move)
+    at, method = sheets(10), StepMethod(network=JacobiPass(1), search=SEARCH)
     *_, made = predictions(at, method)
     again = replace(at, state=replace(at.state, last_move=made.state.last_move))
     assert energies_after(again, method)[-1] < energies_after(at, method)[-1]
@@ -124,7 +127,7 @@ def test_further_passes_are_made_while_much_is_freed(heights: tuple[float, ...],
 
 def test_a_pass_tells_by_how_much_it_lowered_the_energy() -> None:
     at = sheets(10)
-    start, after = energies_after(at, method := StepMethod(network=JacobiPass(1), search=conjugate_move))
+    start, after = energies_after(at, method := StepMethod(network=JacobiPass(1), search=SEARCH))
     *_, made = predictions(at, method)
     assert float(made.decrease) == pytest.approx(start - after, rel=1e-3)
 
@@ -148,16 +151,16 @@ def test_who_names_a_number_of_passes_gets_it(tmp_path: Path) -> None:
 
 def test_every_world_has_lengths_of_its_own() -> None:
     both, method = sheets(10, 7), StepMethod(network=JacobiPass(2))
-    *_, together = predictions(both, replace(method, search=conjugate_move))
+    *_, together = predictions(both, replace(method, search=SEARCH))
     for world, cells in enumerate((10, 7)):
-        *_, alone = predictions(sheets(cells), replace(method, search=conjugate_move))
+        *_, alone = predictions(sheets(cells), replace(method, search=SEARCH))
         mine = both.garments.vertex_world == world
         torch.testing.assert_close(together.state.positions[mine], alone.state.positions, rtol=0, atol=1e-9)
 
 
 def test_pinned_vertices_take_their_places() -> None:
     at = sheets(10, pinned=True)
-    *_, after = predictions(at, StepMethod(network=JacobiPass(2), search=conjugate_move))
+    *_, after = predictions(at, StepMethod(network=JacobiPass(2), search=SEARCH))
     pinned = at.garments.pinned
     assert pinned.any()
     assert torch.equal(after.state.positions[pinned], at.pin_positions[pinned])
@@ -165,7 +168,7 @@ def test_pinned_vertices_take_their_places() -> None:
 
 def test_cloth_on_a_body_gains_no_energy_by_a_pass() -> None:
     timeline = Timeline.of(ball_scene())
-    rest, method = timeline.skinned(0), StepMethod(network=JacobiPass(2), search=conjugate_move)
+    rest, method = timeline.skinned(0), StepMethod(network=JacobiPass(2), search=SEARCH)
     state = State(rest, torch.zeros_like(rest), 0)
     for _ in range(4):
         at = timeline.step_from(state)
@@ -179,7 +182,7 @@ def test_cloth_on_a_body_gains_no_energy_by_a_pass() -> None:
 def test_what_is_not_finite_is_left_to_whoever_looks_for_it() -> None:
     at = sheets(10)
     correction = torch.full_like(at.state.positions, torch.nan)
-    move, _ = conjugate_move(at, torch.zeros_like(correction), correction, None)
+    move, _ = SEARCH(at, torch.zeros_like(correction), correction, None)
     assert torch.isnan(move).all()
 
 
@@ -189,8 +192,8 @@ def test_lengths_carry_no_gradient_and_directions_do() -> None:
     torch.manual_seed(0)
     model = AccelerationModel(CONJUGATE.network())
     prepared = model.prepare(pack(at.garments.garments, torch.float32))
-    network = NetworkPass(model, prepared, 2, mode=nullcontext)
-    *_, last = predictions(at, StepMethod(network=network, search=search_of(model.network)))
+    network = NetworkPass(model, prepared, StepFeatures(prepared, SIX), 2, mode=nullcontext)
+    *_, last = predictions(at, StepMethod(network=network, search=search_of(model.network, SIX)))
     energy = IncrementalPotential().of(at).energies(last.state.positions).total
     bias, weight = model.network.decoder.last.bias, model.network.decoder.last.weight
     gradient = torch.autograd.grad(energy, (bias, weight))
@@ -208,6 +211,8 @@ def test_a_checkpoint_keeps_whether_its_passes_are_joined(tmp_path: Path) -> Non
     save_checkpoint(tmp_path / "a.safetensors", model, CONJUGATE, TrainingRecord(1 / 30, (0.02, 0.03), (1, 9), 5))
     read = load_checkpoint(tmp_path / "a.safetensors")
     assert read.configuration == CONJUGATE
-    assert search_of(read.model.network) is conjugate_move
-    assert search_of(replace(CONJUGATE, conjugate=False).network()) is None
+    search = search_of(read.model.network, SIX)
+    assert isinstance(search, partial)
+    assert search.func is conjugate_move
+    assert search_of(replace(CONJUGATE, conjugate=False).network(), SIX) is None
     assert np.isfinite(read.record.dt)

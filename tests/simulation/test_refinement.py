@@ -32,8 +32,8 @@ POTENTIAL = IncrementalPotential().with_self_contact()
 def first_step(speed: float, potential: IncrementalPotential = POTENTIAL) -> TimeStep:
     """The first step of a sheet that lies on a ball, which begins to move at `speed` [m/s]."""
     timeline = Timeline.of(ball_scene(speed=speed))
-    method = StepMethod(contact=ContactResponse(), self_contact=potential.self_contact)
-    return timeline.step_from(Settled(potential=potential).start(timeline, method))
+    method = StepMethod(contact=ContactResponse(), potential=potential)
+    return timeline.step_from(Settled().start(timeline, method))
 
 
 def left_behind(step: TimeStep) -> State:
@@ -44,8 +44,8 @@ def left_behind(step: TimeStep) -> State:
 def test_a_prediction_near_balance_is_only_refined() -> None:
     made: list[int] = []
     step = first_step(speed=0.3)
-    result = SafeguardedRefinement(5, POTENTIAL, lambda _: made.append(1)).refine(step, left_behind(step))
-    refined = SolverRefinement(5, Solver(refinement._NEAR_BALANCE), POTENTIAL).refine(step, left_behind(step))
+    result = SafeguardedRefinement(POTENTIAL, 5, lambda _: made.append(1)).refine(step, left_behind(step))
+    refined = SolverRefinement(POTENTIAL, 5, Solver(refinement._NEAR_BALANCE)).refine(step, left_behind(step))
     assert torch.equal(result.positions, refined.positions)
     assert not made
 
@@ -53,12 +53,12 @@ def test_a_prediction_near_balance_is_only_refined() -> None:
 def test_a_prediction_that_iterations_leave_torn_is_made_anew() -> None:
     made: list[int] = []
     step = first_step(speed=4.0)
-    refined = SolverRefinement(1, potential=POTENTIAL).refine(step, left_behind(step))
+    refined = SolverRefinement(POTENTIAL, 1).refine(step, left_behind(step))
     garments = step.garments
     assert face_strains(refined.positions, garments.faces, garments.inverse_rest_shape).max() > 0.6
-    result = SafeguardedRefinement(1, POTENTIAL, lambda _: made.append(1)).refine(step, left_behind(step))
+    result = SafeguardedRefinement(POTENTIAL, 1, lambda _: made.append(1)).refine(step, left_behind(step))
     assert made == [1]
-    solved, energies = ImplicitSteps(potential=POTENTIAL).refine(step, step.state), POTENTIAL.of(step).energies
+    solved, energies = ImplicitSteps(POTENTIAL).refine(step, step.state), POTENTIAL.of(step).energies
     over = [float(energies(x.positions).total - energies(solved.positions).total) for x in (refined, result)]
     assert over[1] < 0.05 * over[0]
 
@@ -70,7 +70,7 @@ def test_strained_cloth_that_iterations_free_of_nothing_is_left(
     """A tight shirt: strained in every step, far from balance at a few vertices, and with no energy to lose."""
     made: list[int] = []
     step = first_step(speed=4.0)
-    refining = SafeguardedRefinement(1, POTENTIAL, lambda _: made.append(1))
+    refining = SafeguardedRefinement(POTENTIAL, 1, lambda _: made.append(1))
     torn = replace(refining.solver.minimise(POTENTIAL.of(step), left_behind(step).positions, 1), decrease=freed)
     assert torn.residual > refinement._BALANCED
     monkeypatch.setattr(refining.solver, "minimise", lambda *_, **__: torn)
@@ -81,17 +81,17 @@ def test_strained_cloth_that_iterations_free_of_nothing_is_left(
 def test_a_prediction_that_iterations_leave_hooked_is_made_anew() -> None:
     made: list[int] = []
     step, _ = pierced(-0.08, 0.0)
-    refined = SolverRefinement(1, potential=POTENTIAL).refine(step, step.state)
+    refined = SolverRefinement(POTENTIAL, 1).refine(step, step.state)
     assert newly_pierced(step, refined.positions) > 0
-    result = SafeguardedRefinement(1, POTENTIAL, lambda _: made.append(1)).refine(step, step.state)
+    result = SafeguardedRefinement(POTENTIAL, 1, lambda _: made.append(1)).refine(step, step.state)
     assert made == [1]
     assert newly_pierced(step, result.positions) == 0
 
 
 def test_what_a_push_leaves_inside_the_body_is_pressed_out_and_gains_no_speed() -> None:
     step, contact = first_step(speed=0.3), ContactResponse()
-    settled = SolverRefinement(potential=POTENTIAL).refine(step, left_behind(step))
-    refinement, centre = SolverRefinement(5, potential=POTENTIAL), step.bodies.following.positions.mean(0)
+    settled = SolverRefinement(POTENTIAL).refine(step, left_behind(step))
+    refinement, centre = SolverRefinement(POTENTIAL, 5), step.bodies.following.positions.mean(0)
     assert refinement.respond_with_cloth(step, settled, contact) is settled, "nothing is inside"
     inside = replace(settled, positions=settled.positions + 0.04 * (centre - settled.positions))
     depth = contact.depth(step, inside.positions)
@@ -108,7 +108,7 @@ def test_cloth_that_bodies_turned_aside_is_solved_anew_and_the_less_strained_kep
     potential = IncrementalPotential().with_self_contact(bodies=True)
     record = RunRecord(solver_iterations=[7, 2])
     step = first_step(4.0, potential)
-    refining = SolverRefinement(5, potential=potential, retried=record.count_retried)
+    refining = SolverRefinement(potential, 5, retried=record.count_retried)
     edges = 1e-4 * substep_count(step, 1e-4) / min(step.garments.mean_edge_lengths)
     monkeypatch.setattr(refinement, "_EDGES_IN_A_PART", 1.01 * edges / parts)
     behind = step.reached(free_flight(step))
@@ -142,7 +142,7 @@ def test_a_retry_goes_in_parts_by_the_edges_of_what_is_strained(monkeypatch: pyt
     monkeypatch.setattr(refinement, "past_bodies", lambda _, step, state, apart: replace(state, positions=wide))
     monkeypatch.setattr(refinement, "substep_count", lambda _, longest: asked.append(longest) or 1)
     monkeypatch.setattr(refinement, "in_parts", lambda step, *_: (step.state, None))
-    SolverRefinement(5, potential=potential).pressed_past_bodies(step, step.state, potential.self_contact)
+    SolverRefinement(potential, 5).pressed_past_bodies(step, step.state, potential.self_contact)
     assert asked == [refinement._EDGES_IN_A_PART * coarse]
 
 

@@ -18,10 +18,11 @@ from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.colliders import ColliderFrame, pack_colliders
 from pb4u.scene.packed import pack
 from pb4u.scene.state import State
-from pb4u.simulation.network_pass import NetworkPass
+from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 from pb4u.simulation.step import StepMethod, take
 from pb4u.simulation.step_start import BodyMotionWarmStart, start_accelerations, start_of
 
+SIX = IncrementalPotential()
 SHARES = (0.25, 0.5, 0.75, 1.0)
 DT = 1.0 / 30.0
 
@@ -73,7 +74,7 @@ def test_the_papers_start_is_free_flight() -> None:
 def test_a_start_has_least_potential_of_all_that_may_be_chosen() -> None:
     moved = []
     for at in (sheets_on_balls(0.2), sheet_on_a_rising_ball(0.005), sheet_on_a_rising_ball(0.03)):
-        start = BodyMotionWarmStart(SHARES).accelerations(at)
+        start = BodyMotionWarmStart(SIX, SHARES).accelerations(at)
         moved.append(float(start.norm(dim=1).max()))
         chosen = energies_at(at, start)
         # The start is chosen with the body's tangent planes; twice-looked-up contacts may differ in the last digits.
@@ -85,7 +86,7 @@ def test_a_start_has_least_potential_of_all_that_may_be_chosen() -> None:
 
 def test_cloth_drawn_into_the_body_is_carried() -> None:
     rising = sheet_on_a_rising_ball(0.03)
-    start = BodyMotionWarmStart(SHARES).accelerations(rising)
+    start = BodyMotionWarmStart(SIX, SHARES).accelerations(rising)
     assert float(start[:, 1].min()) >= 0.25 * 0.03
     assert float(energies_at(rising, start)) < float(energies_at(rising, torch.zeros_like(start)))
 
@@ -94,7 +95,7 @@ def test_what_the_body_overruns_is_lifted_where_nothing_carries_it() -> None:
     at = sheets_on_balls(0.0, 0.0)
     rises = (at.collider.colliders.vertex_world == 1)[:, None] * torch.tensor([0.0, 0.02, 0.0]).double()
     at = replace(at, collider=risen(at.collider, rises))
-    start = BodyMotionWarmStart(SHARES).accelerations(at)
+    start = BodyMotionWarmStart(SIX, SHARES).accelerations(at)
     first = at.garments.vertex_garment == 0
     assert not start[first].any()
     potential = IncrementalPotential().of(at)
@@ -114,7 +115,7 @@ def test_every_garment_of_a_pack_has_its_own_share() -> None:
     # What would carry the first garment away is of no use to it.
     carried = carried + (both.garments.vertex_garment == 0)[:, None] * torch.tensor([0.1, 0.1, 0.0]).double()
     at = replace(both, collider=risen(both.collider, rises), skinned_motion=carried)
-    start = BodyMotionWarmStart(SHARES).accelerations(at)
+    start = BodyMotionWarmStart(SIX, SHARES).accelerations(at)
     first = at.garments.vertex_garment == 0
     assert not start[first].any()
     assert float(start[~first, 1].min()) > 0.0
@@ -122,7 +123,7 @@ def test_every_garment_of_a_pack_has_its_own_share() -> None:
 
 def test_pinned_vertices_are_left_to_their_pins() -> None:
     at = sheet_on_a_rising_ball(0.03, pinned=True)
-    start = BodyMotionWarmStart((1.0,)).accelerations(at)
+    start = BodyMotionWarmStart(SIX, (1.0,)).accelerations(at)
     assert start.any()
     assert not start[at.garments.pinned].any()
 
@@ -134,10 +135,11 @@ def test_a_network_that_adds_nothing_ends_at_the_start(name: str) -> None:
     for parameter in model.network.decoder.parameters():
         torch.nn.init.zeros_(parameter)
     at = sheet_on_a_rising_ball(0.03)
-    assert BodyMotionWarmStart(SHARES).accelerations(at).any()
+    assert BodyMotionWarmStart(SIX, SHARES).accelerations(at).any()
     prepared = model.prepare(pack(at.garments.garments, torch.float32))
-    expected = integrate(at, BodyMotionWarmStart(SHARES).accelerations(at))
-    method = StepMethod(start_of(model.network), NetworkPass(model, prepared, model.network.configuration.passes))
+    expected = integrate(at, BodyMotionWarmStart(SIX, SHARES).accelerations(at))
+    passes = NetworkPass(model, prepared, StepFeatures(prepared, SIX), model.network.configuration.passes)
+    method = StepMethod(start_of(model.network, SIX), passes)
     assert torch.allclose(take(at, method).positions, expected.positions)
 
 

@@ -20,13 +20,13 @@ from pb4u.physics.step_potential import Energies
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import load_checkpoint
-from pb4u.simulation.network_pass import NetworkPass
+from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 from pb4u.simulation.step import Prediction, StepMethod, predictions
 from pb4u.training import trainer as trainer_module
 from pb4u.training.budget import Budget, Counters
 from pb4u.training.curriculum import Curriculum
 from pb4u.training.journal import draw_curve
-from pb4u.training.objective import step_energies
+from pb4u.training.objective import LOSS_POTENTIAL, step_energies
 from pb4u.training.recovery import TrainingFailedError
 from pb4u.training.run_folder import NotSavedError, RunFolder
 from pb4u.training.trainer import RoundEnd, Trainer
@@ -123,7 +123,8 @@ def test_garments_of_two_sizes_and_propagation_counts_share_a_batch() -> None:
         steps = [1 + 2 * (sample is samples[i]) for sample in chosen]
         prepared = trainer.model.prepare(window.timeline.garments).with_steps(steps)
         step = window.timeline.step_from(window.start(0.003, 0.002))
-        method = StepMethod(network=NetworkPass(trainer.model, prepared, mode=nullcontext))
+        features = StepFeatures(prepared, LOSS_POTENTIAL)
+        method = StepMethod(network=NetworkPass(trainer.model, prepared, features, mode=nullcontext))
         *_, after = predictions(step, method)
         energies = trainer_module.step_energies(step, after.state.positions, 5e3)
         losses.append(energies.total.item() / len(chosen))

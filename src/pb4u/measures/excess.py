@@ -53,12 +53,12 @@ class StepMinima:
     """Searches minima of time steps; keeps what the solver derives from the garments.
 
     Args:
-        potential: energies that count; the six terms by default.
+        potential: energies that count.
     """
 
-    def __init__(self, potential: IncrementalPotential | None = None) -> None:
-        self.potential = potential or IncrementalPotential()
-        self.solver = Solver()
+    def __init__(self, potential: IncrementalPotential) -> None:
+        self.potential, self.solver = potential, Solver()
+        self._warm_start = BodyMotionWarmStart(potential)
 
     def energy(self, step: TimeStep, x: Tensor) -> float:
         """Total potential [J] at the end of a step.
@@ -68,6 +68,20 @@ class StepMinima:
             x: (vertices, 3) [m] at its end.
         """
         return float(self.potential.of(step).energies(x).total)
+
+    def usual_starts(self, step: TimeStep, pinned: Tensor | None = None) -> list[Tensor]:
+        """Where minima are looked for from: free flight and the body's motion, each (vertices, 3) [m].
+
+        Args:
+            step: garments in float64 on the CPU.
+            pinned: (vertices, 3) [m] where pinned vertices will be, where the step does not say.
+        """
+        if step.skinned_motion is None:
+            step = replace(step, skinned_motion=_motion_of_the_body(step))
+        starts = [free_flight(step), self._warm_start.positions(step)]
+        if pinned is None:
+            return starts
+        return [torch.where(step.garments.pinned[:, None], pinned, start) for start in starts]
 
     def lowest(self, step: TimeStep, starts: Iterable[Tensor]) -> Minimum:
         """Lowest of the minima that the solver reaches; one solve a start.
@@ -96,21 +110,6 @@ class StepMinima:
             least: energy of the minimum [J].
         """
         return (self.energy(step, x) - least) / float(step.garments.world_weights.sum())
-
-
-def usual_starts(step: TimeStep, pinned: Tensor | None = None) -> list[Tensor]:
-    """Where minima are looked for from: free flight and the body's motion, each (vertices, 3) [m].
-
-    Args:
-        step: garments in float64 on the CPU.
-        pinned: (vertices, 3) [m] where pinned vertices will be, where the step does not say.
-    """
-    if step.skinned_motion is None:
-        step = replace(step, skinned_motion=_motion_of_the_body(step))
-    starts = [free_flight(step), BodyMotionWarmStart().positions(step)]
-    if pinned is None:
-        return starts
-    return [torch.where(step.garments.pinned[:, None], pinned, start) for start in starts]
 
 
 def _motion_of_the_body(step: TimeStep) -> Tensor:
@@ -149,7 +148,7 @@ def excess_heights(trajectory: Trajectory, progress: Progress = no_progress) -> 
 
 
 def _excess_height(minima: StepMinima, step: TimeStep, x: Tensor) -> float:
-    least = minima.lowest(step, [x, *usual_starts(step, pinned=x)]).energy
+    least = minima.lowest(step, [x, *minima.usual_starts(step, pinned=x)]).energy
     return minima.excess(step, x, least) if math.isfinite(least) else math.nan
 
 
@@ -225,44 +224,54 @@ class Reference:
     """Rollout of the solver in which every step is the best of several starts, and states shared by all methods.
 
     Args:
+        potential: energies that count.
         timeline: garments and bodies, float64 on the CPU.
         states: states of its frames.
         shared: every few frames, what methods are compared on.
     """
 
+    potential: IncrementalPotential
     timeline: Timeline
     states: tuple[State, ...]
     shared: tuple[SharedState, ...]
 
     @staticmethod
-    def of(timeline: Timeline, first: State, count: int, lead_in: int = 0, every: int = SHARED_EVERY) -> Reference:
+    def of(
+        potential: IncrementalPotential,
+        timeline: Timeline,
+        first: State,
+        count: int,
+        lead_in: int = 0,
+        every: int = SHARED_EVERY,
+    ) -> Reference:
         """Roll out; two solves a frame, three more at a shared state where the body moves far.
 
         Args:
+            potential: energies that count.
             timeline: garments and bodies, float64 on the CPU.
             first: state of the first frame.
             count: frames to make.
             lead_in: frames before the first shared state.
             every: frames from one shared state to the next.
         """
-        minima = StepMinima()
+        minima, warm_start = StepMinima(potential), BodyMotionWarmStart(potential)
         states, shared = [first], []
         for number in range(1, count):
             step = timeline.step_from(states[-1])
-            starts = usual_starts(step)
+            starts = minima.usual_starts(step)
             found: Minimum | None = None
             at_shared = number >= 2 and _is_shared(number, lead_in, every)
             if substep_count(step) == 1:
                 found = minima.lowest(step, starts)
                 after = step.reached(found.positions)
             else:
-                after, _ = implicit_steps(minima.potential, minima.solver, step, start=BodyMotionWarmStart().positions)
+                after, _ = implicit_steps(potential, minima.solver, step, start=warm_start.positions)
                 if at_shared:
                     found = minima.lowest(step, [after.positions, *starts])
             if found is not None and at_shared and math.isfinite(found.energy):
                 shared.append(SharedState(states[-2], states[-1], found.energy))
             states.append(after)
-        return Reference(timeline, tuple(states), tuple(shared))
+        return Reference(potential, timeline, tuple(states), tuple(shared))
 
     def excess(self, method: StepMethod, settled: bool = True) -> list[float]:
         """Excess heights [m] that one step of a method leaves on each shared state; negative where it beats them.
@@ -271,7 +280,7 @@ class Reference:
             method: takes the steps.
             settled: whether refinement and contact belong to it, or its predictions alone.
         """
-        minima, heights = StepMinima(), []
+        minima, heights = StepMinima(self.potential), []
         for each in self.shared:
             *_, earlier = predictions(self.timeline.step_from(each.before), method)
             step = self.timeline.step_from(replace(each.state, last_move=earlier.state.last_move))

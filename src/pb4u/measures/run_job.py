@@ -292,15 +292,14 @@ def _scene(run: Run, written_fps: float) -> tuple[Scene, tuple[str, ...]]:
 def _reference(run: Run) -> Reference:
     """Solver's rollout of a scene, and the states that all models are compared on."""
     from pb4u.measures.excess import Reference
-    from pb4u.simulation.first_frame import Settled
     from pb4u.simulation.simulator import RunRecord
     from pb4u.simulation.stepwise_simulator import SolverSimulator
     from pb4u.simulation.timeline import Timeline
 
     scene, _ = _scene(run, run.fps)
-    timeline = Timeline.of(scene)
-    first = next(iter(Settled().states(timeline, SolverSimulator().method(timeline, RunRecord()))))
-    return Reference.of(timeline, first, scene.total_frames, scene.lead_in)
+    timeline, solver = Timeline.of(scene), SolverSimulator()
+    first = solver.first_frame.start(timeline, solver.method(timeline, RunRecord()))
+    return Reference.of(solver.potential, timeline, first, scene.total_frames, scene.lead_in)
 
 
 def _distance(run: Run, trajectory: Trajectory) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pb4u.network.acceleration_model import GraphNetwork
 from pb4u.network.graph.garment_graph import incident_lengths
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
 from pb4u.simulation.models import CONTROLS
@@ -54,12 +55,12 @@ class ControlSimulator(StepwiseSimulator):
 
     def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
         return StepMethod(
-            start_of(self.like),
-            GradientPass(timeline.garments, *self._repeats) if self._repeats[0] else None,
+            start_of(self.like, self.potential),
+            GradientPass(timeline.garments, self.potential, *self._repeats) if self._repeats[0] else None,
             self.refinement(record),
             self.contact,
-            self.potential.self_contact,
-            search_of(self.like),
+            self.potential,
+            search_of(self.like, self.potential),
         )
 
 
@@ -71,13 +72,16 @@ class GradientPass:
 
     Args:
         garments: garments of the steps, float64 on the CPU.
+        potential: the energies that are descended.
         passes: number of gradients in a step.
         further: most gradients beyond those, while a pass lowers the energy much.
     """
 
-    def __init__(self, garments: PackedGarments, passes: int = 1, further: int = 0) -> None:
+    def __init__(
+        self, garments: PackedGarments, potential: IncrementalPotential, passes: int = 1, further: int = 0
+    ) -> None:
         self.passes, self.further = passes, further
-        self._feature = DescentFeature()
+        self._feature = DescentFeature(potential)
         self._incident_length = incident_lengths(garments)
 
     @torch.no_grad()

@@ -72,12 +72,13 @@ class IncrementalPotential:
         return {term.name: term for term in self.terms}[name]
 
     def with_term(self, new: EnergyTerm) -> IncrementalPotential:
-        """This potential with `new` in the place of the term of its name.
+        """This potential with `new` in the place of the term of its name, or after all others where there is none.
 
         Args:
-            new: the term that takes the place.
+            new: the term.
         """
-        self.term(new.name)
+        if new.name not in self.names:
+            return replace(self, terms=(*self.terms, new))
         return replace(self, terms=tuple(new if term.name == new.name else term for term in self.terms))
 
     def of(self, step: TimeStep) -> StepPotential:

@@ -11,7 +11,6 @@ import torch
 
 from pb4u.collision.jit import as_float64
 from pb4u.garment.tangles import untangled_start
-from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.newton_solver import Solver
 from pb4u.registry import Registry
 from pb4u.scene.state import State
@@ -97,18 +96,16 @@ class Settled(FirstFrame):
         most_steps: settling steps after which they start anyway; garments fitted to the body take two to four.
         iterations: solver iterations of each settling step.
         solver: makes them; one of its own by default.
-        potential: the energies; the six terms by default.
     """
 
     still: float = 2e-3
     most_steps: int = 12
     iterations: int = 12
     solver: Solver | None = None
-    potential: IncrementalPotential | None = None
 
     def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
-        refinement = SolverRefinement(self.iterations, self.solver, self.potential)
-        settling = StepMethod(refinement=refinement, contact=method.contact, self_contact=method.self_contact)
+        refinement = SolverRefinement(method.potential, self.iterations, self.solver)
+        settling = StepMethod(refinement=refinement, contact=method.contact, potential=method.potential)
         begun = state = AsPlaced().start(timeline, method)
         owner = timeline.garments.vertex_garment
         for _ in range(self.most_steps):
@@ -123,5 +120,7 @@ class Settled(FirstFrame):
         yield state
 
 
-FIRST_FRAMES: Registry[FirstFrame] = Registry("first frame", {"long_step": OneLongStep(), "placed": AsPlaced()})
-"""Ways to make frame 0 by the name that `first_frame` takes, but for those that hang on the energies."""
+FIRST_FRAMES: Registry[FirstFrame] = Registry(
+    "first frame", {"settled": Settled(), "long_step": OneLongStep(), "placed": AsPlaced()}
+)
+"""Ways to make frame 0, by the name that `first_frame` takes."""

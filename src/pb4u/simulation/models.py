@@ -16,9 +16,7 @@ from pb4u.simulation.simulator import Simulator
 if TYPE_CHECKING:
     import torch
 
-    from pb4u.physics.incremental_potential import IncrementalPotential
     from pb4u.simulation.checkpoint import Checkpoint
-    from pb4u.simulation.first_frame import FirstFrame
 
 PARTS: dict[str, frozenset[str]] = {
     "solver": frozenset({STEPS}),
@@ -154,6 +152,7 @@ def simulator_of(run: Run) -> Simulator:
     """
     from pb4u.physics.incremental_potential import IncrementalPotential
     from pb4u.physics.solver.implicit_steps import free_flight
+    from pb4u.simulation.first_frame import FIRST_FRAMES
     from pb4u.simulation.penetration_response import ContactResponse
     from pb4u.simulation.simulator import SkinningSimulator
     from pb4u.simulation.step_start import BodyMotionWarmStart
@@ -169,13 +168,13 @@ def simulator_of(run: Run) -> Simulator:
     contact = ContactResponse() if run.contact else None
     # The solver improves a state more, and settles it better, than one long step of a network at the same cost.
     solves = (model in PARTS and not looks_at(model, "refine")) or run.refine > 0
-    first_frame = _first_frame(run.first_frame, "settled" if solves else "long_step", potential)
-    common: dict[str, Any] = {"contact": contact, "first_frame": first_frame, "potential": potential}
+    first = run.first_frame if run.first_frame != "auto" else "settled" if solves else "long_step"
+    common: dict[str, Any] = {"contact": contact, "first_frame": FIRST_FRAMES.named(first), "potential": potential}
     if model == "skinning":
         return SkinningSimulator()
     if model == "solver":
         # Where cloth stops cloth, what free flight leaves behind a fast limb would stay caught on it.
-        start = free_flight if run.self_contact is False else BodyMotionWarmStart().positions
+        start = free_flight if run.self_contact is False else BodyMotionWarmStart(potential).positions
         return SolverSimulator(start=start, **common)
     if model == "quick-solver":
         return QuickSolver(refine=run.refine, **common)
@@ -218,14 +217,6 @@ def unknown_model(name: str) -> InputError:
         return unknown_name("model", name, known)
     networks = ", ".join(each for each in known if each not in PARTS and not each.startswith("comparison-"))
     return InputError(f"There is no model {name!r} with weights: {trainable}; the weights shipped are {networks}.")
-
-
-def _first_frame(name: str, own: str, potential: IncrementalPotential) -> FirstFrame:
-    """The way called `name` to make frame 0; `own` is the one that "auto" stands for."""
-    from pb4u.simulation.first_frame import FIRST_FRAMES, Settled
-
-    chosen = own if name == "auto" else name
-    return Settled(potential=potential) if chosen == "settled" else FIRST_FRAMES.named(chosen)
 
 
 def load_checkpoint_of(name: str) -> Checkpoint:

@@ -35,8 +35,8 @@ class NetworkPass:
     Args:
         network: called with a graph and the prepared garments; the model itself, or what distributes it.
         prepared: what it derived once from the garments, with the propagation steps of this step.
+        features: makes the node features that need the step's physics.
         passes: how often it is evaluated in a step.
-        features: node features of the garments, where they are already made.
         mode: entered while the network computes; no gradient by default, `nullcontext` in training.
         further: how often it is evaluated again at most, while a pass lowers the energy much.
     """
@@ -45,14 +45,13 @@ class NetworkPass:
         self,
         network: nn.Module,
         prepared: PreparedGarments,
+        features: StepFeatures,
         passes: int = 1,
-        features: StepFeatures | None = None,
         mode: Callable[[], AbstractContextManager] = torch.inference_mode,
         further: int = 0,
     ) -> None:
-        self.network, self.prepared, self.mode = network, prepared, mode
+        self.network, self.prepared, self.features, self.mode = network, prepared, features, mode
         self.passes, self.further = passes, further
-        self.features = features or StepFeatures(prepared)
         self.device = next(network.parameters()).device
         self._colliders: tuple[PackedColliders, PackedColliders] | None = None
 
@@ -113,10 +112,13 @@ class DescentFeature:
 
     In edge lengths it is a strain, and looks the same at any resolution. Steps beyond 5% of an edge grow as their
     logarithm: one vertex deep inside the body must not drown the others.
+
+    Args:
+        potential: the energies; those of cloth against cloth do not count, as passes may cross.
     """
 
-    def __init__(self) -> None:
-        self._potential = IncrementalPotential()
+    def __init__(self, potential: IncrementalPotential) -> None:
+        self._potential = potential.without_self_contact()
         self._made: tuple[PackedGarments, float, JacobiDescent] | None = None
 
     def of(self, step: TimeStep, accelerations: Tensor, incident_length: Tensor) -> Tensor:
@@ -143,15 +145,16 @@ class StepFeatures:
 
     Args:
         prepared: of the network that reads them.
+        potential: the energies that the gradient feature descends.
 
     Raises:
         InputError: the layout names one that nobody makes.
     """
 
-    def __init__(self, prepared: PreparedGarments) -> None:
+    def __init__(self, prepared: PreparedGarments, potential: IncrementalPotential) -> None:
         self._incident_length = prepared.builder.static.incident_length
         self._descent_size = prepared.descent_size
-        self._descent = DescentFeature()
+        self._descent = DescentFeature(potential)
         self._names = [feature.name for feature in prepared.builder.layout.extra]
         for feature in prepared.builder.layout.extra:
             if feature not in (DESCENT, ADVANCE):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TypeAlias
 
 import torch
@@ -17,11 +18,11 @@ _FLATTEST = 1e-3
 
 
 PassSearch: TypeAlias = Callable[[TimeStep, Tensor, Tensor, Tensor | None], tuple[Tensor, Tensor]]
-"""Called as `conjugate_move` is, and returns what it returns."""
+"""Called as `conjugate_move` of a potential is, and returns what it returns."""
 
 
 def conjugate_move(
-    step: TimeStep, accelerations: Tensor, correction: Tensor, last: Tensor | None
+    potential: IncrementalPotential, step: TimeStep, accelerations: Tensor, correction: Tensor, last: Tensor | None
 ) -> tuple[Tensor, Tensor]:
     """A pass joined with the move of the pass before it, each at the length of least potential in every world.
 
@@ -34,6 +35,7 @@ def conjugate_move(
     still is not among what is compared.
 
     Args:
+        potential: whose energies are lowered.
         step: that is taken.
         accelerations: (vertices, 3) reached so far, from free flight [m per step^2].
         correction: (vertices, 3) that the network predicts from there [m per step^2].
@@ -46,30 +48,33 @@ def conjugate_move(
     directions = [torch.where(step.garments.pinned[:, None], 0.0, correction)]
     if last is not None:
         directions.append(last)
-    lengths, decrease = _lengths(step, accelerations, torch.stack(directions).detach())
+    lengths, decrease = _lengths(potential, step, accelerations, torch.stack(directions).detach())
     joined = torch.stack([_of_world(step, length) * d for length, d in zip(lengths, directions, strict=True)]).sum(0)
     return joined, decrease
 
 
-def search_of(network: GraphNetwork) -> PassSearch | None:
+def search_of(network: GraphNetwork, potential: IncrementalPotential) -> PassSearch | None:
     """Line search along the passes of `network`; None takes the passes whole, as the paper does.
 
     Args:
         network: the network.
+        potential: the energies; those of cloth against cloth do not count, as passes may cross.
     """
-    return conjugate_move if network.configuration.conjugate else None
+    return partial(conjugate_move, potential.without_self_contact()) if network.configuration.conjugate else None
 
 
 @torch.no_grad()
-def _lengths(step: TimeStep, accelerations: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+def _lengths(
+    potential: IncrementalPotential, step: TimeStep, accelerations: Tensor, directions: Tensor
+) -> tuple[Tensor, Tensor]:
     """Lengths (directions, worlds) of `directions` (directions, vertices, 3), the first the network's.
 
     And the decrease of the energy (worlds,) [J].
     """
     x = integrate(step, accelerations).positions
     # The body's tangent planes where the whole pass leads are exact enough to choose by, and queried once.
-    potential = IncrementalPotential().of(step).with_contact_at(x + directions[0])
-    (before, at_whole, *_), (gradient, *others) = potential.gradients(torch.stack([x, *(x + directions)]))
+    frozen = potential.of(step).with_contact_at(x + directions[0])
+    (before, at_whole, *_), (gradient, *others) = frozen.gradients(torch.stack([x, *(x + directions)]))
     changes = torch.stack(others) - gradient
 
     def by_world(products: Tensor) -> Tensor:
@@ -84,7 +89,7 @@ def _lengths(step: TimeStep, accelerations: Tensor, directions: Tensor) -> tuple
     # Cloth buckles and skin is met on the way, so that the model can be wrong; half way is often still better.
     choices = torch.stack([whole, best, 0.5 * (whole + best)])
     shorter = torch.stack([_moved(step, x, directions, lengths) for lengths in choices[1:]])
-    energies = torch.cat([at_whole[None], potential.energies_of_worlds(shorter)])
+    energies = torch.cat([at_whole[None], frozen.energies_of_worlds(shorter)])
     lowest, chosen = energies.nan_to_num(nan=torch.inf).min(0)
     return choices.gather(0, chosen.expand(1, *best.shape))[0], before - lowest
 

@@ -79,25 +79,24 @@ class SolverRefinement:
     """Minimises the incremental potential from the prediction.
 
     Args:
+        potential: the energies.
         iterations: at most this many a step; None goes to the solver's tolerance.
         solver: computes in float64 on the CPU.
-        potential: the energies.
         retried: called with the solution of every retry of a step.
     """
 
     def __init__(
         self,
+        potential: IncrementalPotential,
         iterations: int | None = None,
         solver: Solver | None = None,
-        potential: IncrementalPotential | None = None,
         retried: Callable[[Solution], None] | None = None,
     ) -> None:
-        self.iterations = iterations
+        self.potential, self.iterations = potential, iterations
         self.solver = solver or Solver()
-        self.potential = potential or IncrementalPotential()
         self.retried = retried
         self._pressing = Solver(_NEAR_BALANCE, settled=_SETTLED)
-        self._warm_start = BodyMotionWarmStart()
+        self._warm_start = BodyMotionWarmStart(potential)
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         """State of lower incremental potential; its velocity is the displacement over dt.
@@ -170,9 +169,9 @@ class ImplicitSteps(SolverRefinement):
     Where the body moves far, the step is cut into several; see `implicit_steps`.
 
     Args:
+        potential: the energies.
         iterations: at most this many an implicit step; None goes to the solver's tolerance.
         solver: computes in float64 on the CPU.
-        potential: the energies.
         watch: called with the solution of every step, as `implicit_steps` tells of it.
         start: gives the positions (vertices, 3) [m] that each implicit step starts from.
         retried: called with the solution of every retry of a step.
@@ -180,14 +179,14 @@ class ImplicitSteps(SolverRefinement):
 
     def __init__(
         self,
+        potential: IncrementalPotential,
         iterations: int | None = None,
         solver: Solver | None = None,
-        potential: IncrementalPotential | None = None,
         watch: Callable[[Solution], None] | None = None,
         start: Callable[[TimeStep], Tensor] = free_flight,
         retried: Callable[[Solution], None] | None = None,
     ) -> None:
-        super().__init__(iterations, solver, potential, retried)
+        super().__init__(potential, iterations, solver, retried)
         self.watch, self.start = watch, start
 
     def refine(self, step: TimeStep, predicted: State) -> State:
@@ -204,18 +203,18 @@ class SafeguardedRefinement(SolverRefinement):
     then solved from where the body carries the garment, to a rough tolerance.
 
     Args:
-        iterations: at most this many after a prediction; fewer where the cloth is near balance before.
         potential: the energies.
+        iterations: at most this many after a prediction; fewer where the cloth is near balance before.
         retried: called with the solution of every retry of a step.
     """
 
     def __init__(
         self,
+        potential: IncrementalPotential,
         iterations: int,
-        potential: IncrementalPotential | None = None,
         retried: Callable[[Solution], None] | None = None,
     ) -> None:
-        super().__init__(iterations, Solver(_NEAR_BALANCE, settled=_SETTLED), potential, retried)
+        super().__init__(potential, iterations, Solver(_NEAR_BALANCE, settled=_SETTLED), retried)
         self._rough = Solver(_ROUGH_TOLERANCE)
 
     def refine(self, step: TimeStep, predicted: State) -> State:

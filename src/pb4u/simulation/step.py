@@ -6,7 +6,7 @@ Simulation takes all of it; training learns from its predictions and refines not
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import torch
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from pb4u.collision.rooms import Rooms
 from pb4u.physics.contact.self_contact import CollisionFree
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep, integrate, require_finite
 from pb4u.scene.state import State
 from pb4u.simulation.pass_search import PassSearch
@@ -58,7 +59,8 @@ class StepMethod:
         network: predicts accelerations; None leaves the step where it starts.
         refinement: lowers the incremental potential from there; None leaves predictions as far as cloth can go.
         contact: answers what is left inside the body; None leaves it there.
-        self_contact: keeps each of these from moving cloth through cloth; None where it may.
+        potential: the energies of the simulation, by which its first frame settles too, and what keeps each of these
+            from moving cloth through cloth.
         search: how far a step goes along a pass of the network; None takes it whole.
     """
 
@@ -66,8 +68,13 @@ class StepMethod:
     network: Pass | None = None
     refinement: SolverRefinement | None = None
     contact: ContactResponse | None = None
-    self_contact: CollisionFree | None = None
+    potential: IncrementalPotential = field(default_factory=IncrementalPotential)
     search: PassSearch | None = None
+
+    @property
+    def self_contact(self) -> CollisionFree | None:
+        """Keeps moves from carrying cloth through cloth; None where they may."""
+        return self.potential.self_contact
 
 
 def take(step: TimeStep, method: StepMethod) -> State:

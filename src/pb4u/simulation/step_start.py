@@ -22,12 +22,13 @@ class BodyMotionWarmStart:
     on across the garment; on a fine mesh that is many edges. Skinning gives that motion at any resolution.
 
     Args:
+        potential: the energies; those of cloth against cloth do not count, as shares of a motion may cross.
         shares: to choose from, besides 0, which is free flight.
     """
 
-    def __init__(self, shares: tuple[float, ...] = WARM_START_SHARES) -> None:
+    def __init__(self, potential: IncrementalPotential, shares: tuple[float, ...] = WARM_START_SHARES) -> None:
+        self.potential = potential.without_self_contact()
         self.shares = shares
-        self.potential = IncrementalPotential()
 
     @torch.no_grad()
     def accelerations(self, step: TimeStep) -> Tensor:
@@ -59,14 +60,15 @@ class BodyMotionWarmStart:
         return integrate(step, self.accelerations(step)).positions
 
 
-def start_of(network: GraphNetwork) -> BodyMotionWarmStart | None:
+def start_of(network: GraphNetwork, potential: IncrementalPotential) -> BodyMotionWarmStart | None:
     """Start of the steps of `network`; None for free flight, as in the paper.
 
     Args:
         network: the network.
+        potential: the energies that choose it.
     """
     shares = network.configuration.warm_start_shares
-    return BodyMotionWarmStart(shares) if shares else None
+    return BodyMotionWarmStart(potential, shares) if shares else None
 
 
 def start_accelerations(start: BodyMotionWarmStart | None, step: TimeStep) -> Tensor:

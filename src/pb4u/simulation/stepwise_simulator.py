@@ -29,7 +29,7 @@ from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint
 from pb4u.simulation.device_steps import bytes_a_vertex, require_memory, states_after
 from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
-from pb4u.simulation.network_pass import NetworkPass
+from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 from pb4u.simulation.pass_search import search_of
 from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.refinement import ImplicitSteps, SafeguardedRefinement
@@ -49,7 +49,8 @@ class StepwiseSimulator(Simulator):
             the cloth is stretched beyond measure and still falling; 0 for none.
         contact: pushes out vertices left inside the body; none by default.
         first_frame: makes frame 0; by default one long step of the method's own.
-        potential: the energies, and whether cloth feels cloth; the six terms by default.
+        potential: the energies, and whether cloth feels cloth: the first frame, the start of a step, a network's gradient
+            feature and search, and the solver all descend it. The six terms by default.
     """
 
     refine: int = 0
@@ -78,7 +79,7 @@ class StepwiseSimulator(Simulator):
         Args:
             record: counts the steps that are retried.
         """
-        return SafeguardedRefinement(self.refine, self.potential, record.count_retried) if self.refine else None
+        return SafeguardedRefinement(self.potential, self.refine, record.count_retried) if self.refine else None
 
     def rollout(self, scene: Scene, record: RunRecord) -> Iterator[State]:
         timeline = self.timeline(scene)
@@ -172,9 +173,9 @@ class SolverSimulator(StepwiseSimulator):
             record.unsolved += not solution.converged
 
         refinement = ImplicitSteps(
-            self.iterations, potential=self.potential, watch=note, start=self.start, retried=record.count_retried
+            self.potential, self.iterations, watch=note, start=self.start, retried=record.count_retried
         )
-        return StepMethod(refinement=refinement, contact=self.contact, self_contact=self.potential.self_contact)
+        return StepMethod(refinement=refinement, contact=self.contact, potential=self.potential)
 
 
 @dataclass(eq=False)
@@ -197,8 +198,8 @@ class QuickSolver(StepwiseSimulator):
         return {**super().settings(), "refine": self.refine, "device": "cpu"}
 
     def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
-        refinement, cloth = self.refinement(record), self.potential.self_contact
-        return StepMethod(BodyMotionWarmStart(), None, refinement, self.contact, cloth)
+        start = BodyMotionWarmStart(self.potential)
+        return StepMethod(start, None, self.refinement(record), self.contact, self.potential)
 
 
 class NetworkSimulator(StepwiseSimulator):
@@ -383,12 +384,12 @@ class NetworkSimulator(StepwiseSimulator):
         garments: PackedGarments = pack(timeline.garments.garments, torch.float32, self.device, worlds)
         model = self.checkpoint.model
         prepared = (model if self.refine else self.checkpoint).prepare(garments, self.override)
-
+        features = StepFeatures(prepared, self.potential)
         return StepMethod(
-            start_of(model.network),
-            NetworkPass(model, prepared, self.passes, further=self.further),
+            start_of(model.network, self.potential),
+            NetworkPass(model, prepared, features, self.passes, further=self.further),
             self.refinement(record),
             self.contact,
-            self.potential.self_contact,
-            search_of(model.network),
+            self.potential,
+            search_of(model.network, self.potential),
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from torch import Tensor
 
@@ -36,7 +36,11 @@ class Inside(Collision):
     name = "inside"
 
 
-LOSS_TERMS = (*IncrementalPotential().names, Inside.name)
+LOSS_POTENTIAL = IncrementalPotential()
+"""The six energies of the paper, which training descends: its loss, the start, the feature and the search of its
+steps."""
+
+LOSS_TERMS = (*LOSS_POTENTIAL.names, Inside.name)
 """Names of the terms that a loss may have."""
 
 
@@ -49,9 +53,10 @@ def step_energies(step: TimeStep, positions: Tensor, collision_weight: float, in
         collision_weight: weight of the collision term [J/m^3].
         inside_weight: weight of the term for what is inside the skin [J/m^3]; 0 for none.
     """
-    inside = [Inside(weight=inside_weight)] if inside_weight else []
-    potential = IncrementalPotential().with_term(Collision(weight=collision_weight))
-    return replace(potential, terms=(*potential.terms, *inside)).of(step).energies(positions)
+    potential = LOSS_POTENTIAL.with_term(Collision(weight=collision_weight))
+    if inside_weight:
+        potential = potential.with_term(Inside(weight=inside_weight))
+    return potential.of(step).energies(positions)
 
 
 def mean_energies(energies: Energies) -> dict[str, Tensor]:

@@ -34,6 +34,7 @@ from pb4u.training.journal import Journal, Reporter
 from pb4u.training.learner import Learner
 from pb4u.training.lost_garment import GarmentWatch, drift_from
 from pb4u.training.objective import (
+    LOSS_POTENTIAL,
     PROGRESS,
     further_losses,
     mean_energies,
@@ -87,7 +88,8 @@ class Trainer:
         self.workers, self.folder, self.stopping = workers, folder, stopping
         self.learner = Learner(configuration, workers)
         self.model, self.network = self.learner.model, self.learner.network
-        self.start = start_of(self.model.network)
+        self.start = start_of(self.model.network, LOSS_POTENTIAL)
+        self.search = search_of(self.model.network, LOSS_POTENTIAL)
         self.sampler = Sampler(data, configuration)
         self.loader = WindowLoader(Wardrobe(data, workers.device))
         self.validation = Validation(data, configuration, self.loader)
@@ -202,7 +204,7 @@ class Trainer:
         """Normalise by what skinned garments look like; nothing is learnt yet."""
         for number in range(self.configuration.statistics_windows):
             rollout = self.begin(number, length=1, settle=bool(number % 2))
-            step, network = rollout.next_step(), NetworkPass(self.network, rollout.prepared, features=rollout.features)
+            step, network = rollout.next_step(), NetworkPass(self.network, rollout.prepared, rollout.features)
             graph = network.graph(step, start_accelerations(self.start, step))
             while self.rooms is not None and self.rooms.grow(*self.rooms.taken()):
                 graph = network.graph(step, start_accelerations(self.start, step))
@@ -224,7 +226,8 @@ class Trainer:
         settles = self.sampler.settles(number, length) if settle is None else settle
         state = window.start(self.configuration.noise, self.configuration.clearance)
         prepared = self.model.prepare(window.timeline.garments)
-        return Rollout(number, window, state, prepared, StepFeatures(prepared), GarmentWatch(), settles, length)
+        features = StepFeatures(prepared, LOSS_POTENTIAL)
+        return Rollout(number, window, state, prepared, features, GarmentWatch(), settles, length)
 
     def _indices(self, number: int) -> range:
         """This process's samples of window `number`."""
@@ -269,8 +272,8 @@ class Trainer:
         ]
         step, prepared = rollout.next_step(), rollout.prepared.with_steps(steps)
         passes, further = self.configuration.network.passes, self.configuration.network.further_passes
-        network = NetworkPass(self.network, prepared, passes, rollout.features, nullcontext, further)
-        made = predictions(step, StepMethod(self.start, network, search=search_of(self.model.network)), self.rooms)
+        network = NetworkPass(self.network, prepared, rollout.features, passes, nullcontext, further)
+        made = predictions(step, StepMethod(self.start, network, search=self.search), self.rooms)
         # The network has no part in the first, which the start alone leads to.
         latest = next(made)
         for latest in made:

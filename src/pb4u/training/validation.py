@@ -16,18 +16,17 @@ from pb4u.garment.material import MATERIALS
 from pb4u.measures.excess import Reference
 from pb4u.measures.metrics import strain_percentile
 from pb4u.network.acceleration_model import AccelerationModel
-from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import implicit_steps
 from pb4u.physics.solver.newton_solver import Solver
 from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.state import State
-from pb4u.simulation.network_pass import NetworkPass
+from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 from pb4u.simulation.pass_search import search_of
 from pb4u.simulation.step import StepMethod, predictions
 from pb4u.simulation.step_start import start_of
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.lost_garment import GarmentWatch, drift_from
-from pb4u.training.objective import REFERENCE_WEIGHT, step_energies
+from pb4u.training.objective import LOSS_POTENTIAL, REFERENCE_WEIGHT, step_energies
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.wardrobe import Wardrobe
 from pb4u.training.windows import Sample, Window, WindowLoader
@@ -142,9 +141,9 @@ class Validation:
     def _reference(self, loader: WindowLoader, sample: Sample) -> Reference:
         window = loader.load([sample], _REFERENCE_FRAMES)
         timeline, start = window.timeline, window.start(0.0, self.clearance)
-        settled, _ = implicit_steps(IncrementalPotential(), Solver(), timeline.settling_from(start))
+        settled, _ = implicit_steps(LOSS_POTENTIAL, Solver(), timeline.settling_from(start))
         first = State(settled.positions, timeline.skinned_velocity(start.frame), start.frame)
-        return Reference.of(timeline, first, _REFERENCE_FRAMES, _REFERENCE_LEAD_IN, _SHARED_EVERY)
+        return Reference.of(LOSS_POTENTIAL, timeline, first, _REFERENCE_FRAMES, _REFERENCE_LEAD_IN, _SHARED_EVERY)
 
     def _excess_height(self, model: AccelerationModel) -> float:
         """Geometric mean of what `model` leaves of a step from each shared state [m]."""
@@ -195,8 +194,9 @@ class Validation:
 def _method(model: AccelerationModel, garments: PackedGarments) -> StepMethod:
     """A step by `model` alone; K follows the resolution."""
     network, c = model.network, model.network.configuration
-    passes = NetworkPass(model, model.prepare(garments), c.passes, further=c.further_passes)
-    return StepMethod(start_of(network), passes, search=search_of(network))
+    prepared = model.prepare(garments)
+    passes = NetworkPass(model, prepared, StepFeatures(prepared, LOSS_POTENTIAL), c.passes, further=c.further_passes)
+    return StepMethod(start_of(network, LOSS_POTENTIAL), passes, search=search_of(network, LOSS_POTENTIAL))
 
 
 def _spread(data: TrainingData, count: int) -> list[int]:
