@@ -222,14 +222,14 @@ def _build(newton: Any, warp: Any, scene: Scene, body: np.ndarray, options: Newt
     faces = joined_indices([b.faces for b in scene.colliders], offsets([b.contact for b in scene.colliders]))
     mesh = open_mesh(body.astype(np.float32), faces.reshape(-1), compute_inertia=False)
     builder.add_shape_mesh(body=-1, mesh=mesh, cfg=surface)
-    if scene.ground_height is not None:
-        builder.add_ground_plane(height=scene.ground_height, cfg=surface)
+    if scene.environment.ground is not None:
+        builder.add_ground_plane(height=scene.environment.ground, cfg=surface)
     for worn in scene.garments:
         _add_garment(builder, warp, worn.garment, options)
     # Once for all: colours of one garment would say nothing of the next.
     builder.color(include_bending=True)
     model = builder.finalize()
-    model.set_gravity(tuple(float(g) for g in scene.gravity))
+    model.set_gravity(scene.environment.gravity)
     model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_mu = options.contact_stiffness, 0.0, FRICTION
     # Vertices far from the box around a shape are skipped; this box would be that of the first frame.
     everywhere = np.full((model.shape_count, 3), 1e6, dtype=np.float32)

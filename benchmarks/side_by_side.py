@@ -138,7 +138,7 @@ def _blender(
             body_positions=moved,
             body_faces=header.body_faces,
             fps=scene.fps,
-            gravity=scene.gravity,
+            gravity=np.array(scene.environment.gravity),
             mass=float(worn.garment.vertex_masses.sum()),
         )
         runner = Path(__file__).with_name("blender_cloth.py")

@@ -25,6 +25,7 @@ from torch import Tensor
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
+from pb4u.environment import USUAL
 from pb4u.garment.dressing import SkinnedPlacement
 from pb4u.garment.library import build_garment
 from pb4u.measures.metrics import ENERGIES, measure, strain_percentile
@@ -35,7 +36,6 @@ from pb4u.physics.step_potential import StepPotential
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.colliders import pack_colliders
 from pb4u.scene.packed import PackedGarments, pack
-from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.first_frame import Settled
@@ -59,12 +59,11 @@ class Case:
         posed = body.posed(load_motion(motion).poses(body, 30.0, frames + 1))
         made = build_garment(garment, body, triangles)
         self.garments: PackedGarments = pack([made])
-        gravity = torch.tensor([0.0, -STANDARD_GRAVITY, 0.0], dtype=torch.float64)
         bodies = pack_colliders([torch.as_tensor(posed.faces)], [torch.as_tensor(posed.contact)], [0])
         skinned = SkinnedPlacement(made, posed).positions(0, frames + 1).double()
         self.start, self.velocity = skinned[0], (skinned[1] - skinned[0]) / DT
         body_positions = posed.positions(0, frames + 1).double()
-        self.timeline = Timeline(self.garments, bodies, body_positions, skinned, DT, gravity)
+        self.timeline = Timeline(self.garments, bodies, body_positions, skinned, DT, USUAL)
 
     def step(self, state: State) -> StepPotential:
         return IncrementalPotential().of(self.timeline.step_from(state))

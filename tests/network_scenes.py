@@ -58,7 +58,7 @@ class Moment:
         )
         bodies, rows = self.collider.colliders, self.collider.colliders.world_vertices[garment]
         faces = bodies.faces[bodies.world_faces[garment]] - rows.start
-        own = pack_colliders([faces], [bodies.contact[rows]], [0], bodies.ground_height)
+        own = pack_colliders([faces], [bodies.contact[rows]], [0])
         collider = placed(self.collider, lambda positions: positions[rows], own)
         packed = pack([self.garments.garments[garment]], dtype=self.garments.dtype)
         return Moment(packed, state, collider)

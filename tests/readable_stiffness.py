@@ -8,11 +8,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from pb4u.environment import STANDARD_GRAVITY, UP
 from pb4u.physics.step_potential import StepPotential
 from pb4u.physics.terms.collision import REFERENCE_AREA, Collision
 from pb4u.physics.terms.energy_term import CompiledTerm, EnergyTerm
 from pb4u.physics.terms.friction import Friction
-from pb4u.scene.scene import STANDARD_GRAVITY, UP
 
 
 def readable_stiffness(name: str, frozen: StepPotential, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -94,8 +94,8 @@ def collision(frozen: StepPotential, x: Tensor) -> Tensor:
         for planes in (contacts.next, contacts.opposite)
         if planes is not None
     ]
-    if step.ground_height is not None:
-        surfaces.append((x[:, 1] - step.ground_height, x.new_tensor(UP).expand_as(x)))
+    if step.environment.ground is not None:
+        surfaces.append((x[:, 1] - step.environment.ground, x.new_tensor(UP).expand_as(x)))
     for height, normal in surfaces:
         depth = (term.clearance - height).clamp_min(0.0)
         stiffness = 3.0 * weight * (depth + depth.clamp_max(5e-4))
@@ -112,14 +112,14 @@ def friction(frozen: StepPotential, x: Tensor, softening: float = 0.8) -> Tensor
     assert contacts.transported_normals is not None
     distance = torch.where(contacts.now.touchable, contacts.now.distance, torch.inf)
     anchor, normal = contacts.transported, contacts.transported_normals
-    if step.ground_height is not None:
+    if step.environment.ground is not None:
         before = step.state.positions
-        lower = before[:, 1] - step.ground_height < distance
-        on_ground = lower & (before[:, 1] - step.ground_height < term.radius)
+        lower = before[:, 1] - step.environment.ground < distance
+        on_ground = lower & (before[:, 1] - step.environment.ground < term.radius)
         anchor = torch.where(on_ground[:, None], before, anchor)
         normal = torch.where(on_ground[:, None], x.new_tensor(UP), normal)
         touching = on_ground | (distance < term.radius)
-        distance = torch.where(on_ground, before[:, 1] - step.ground_height, distance)
+        distance = torch.where(on_ground, before[:, 1] - step.environment.ground, distance)
     else:
         touching = distance < term.radius
     force = STANDARD_GRAVITY * step.garments.vertex_masses

@@ -22,6 +22,7 @@ _HOMES = {
     "AnimatedBody": "pb4u.body.animated_body:AnimatedBody",
     "Body": "pb4u.body.body_model:ShapedBody",
     "DressedGarment": "pb4u.scene.scene:DressedGarment",
+    "Environment": "pb4u.environment:Environment",
     "Frame": "pb4u.scene.trajectory:Frame",
     "Garment": "pb4u.garment.garment:Garment",
     "GarmentSkinning": "pb4u.garment.garment:GarmentSkinning",
@@ -82,6 +83,7 @@ if TYPE_CHECKING:
     from pb4u.body.body_model import ShapedBody
     from pb4u.body.library import load_body as load_body
     from pb4u.body.vertex_sequence import VertexSequence as VertexSequence, body_from_arrays as body_from_arrays
+    from pb4u.environment import Environment as Environment
     from pb4u.errors import (
         InputError as InputError,
         InputWarning as InputWarning,

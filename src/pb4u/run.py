@@ -15,6 +15,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pb4u.body.built_in import DEFAULT_BODY
+from pb4u.environment import USUAL, Environment
 from pb4u.errors import InputError, refuse_unknown
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.options import Flag, are_pairs, described, is_whole, require_fitting
@@ -158,6 +159,7 @@ class Run:
         as_recorded: Play an SMPL recording (.pkl, AMASS .npz) as it is, on its own shape, place and height;
             --arms-away 20 is the released code's separate_arms.
         omitted: Body vertices left out of contact: smpl_aux.pkl, or a list. Default: the body's own.
+        environment: Gravity, air and ground: the section [environment] of a scene file.
 
     Raises:
         InputError: a value of a wrong type or out of range, or one garment worn twice.
@@ -194,6 +196,7 @@ class Run:
     ] = "auto"
     as_recorded: Annotated[bool, Flag(RESEARCH, names=("--as-recorded/--retargeted",))] = False
     omitted: Annotated[str | Path | None, Flag(RESEARCH, "FILE", is_file=True)] = None
+    environment: Environment = USUAL
 
     def __post_init__(self) -> None:
         alone = isinstance(self.garments, WornGarment)
@@ -202,6 +205,8 @@ class Run:
         if self.crop is not None:
             object.__setattr__(self, "crop", _checked_crop(self.crop))
         _check(self)
+        if not isinstance(self.environment, Environment):
+            raise InputError(f"The environment of a run is a pb4u.Environment, not {self.environment!r}.")
         if not self.garments:
             raise InputError("A scene has at least one garment; none is given.")
         if len(self.garments) > MOST_GARMENTS:
@@ -307,9 +312,9 @@ class Run:
 
     @staticmethod
     def open(path: str | Path) -> Run:
-        """Read a scene file (TOML): `[scene]`, one `[[garments]]` for each garment, `[run]`.
+        """Read a scene file (TOML): `[scene]`, one `[[garments]]` for each garment, `[run]`, `[environment]`.
 
-        The entries are the fields of `Run` and of `WornGarment`; what is left out has its default.
+        The entries are the fields of `Run`, of `WornGarment` and of `Environment`; what is left out has its default.
 
         Args:
             path: the file; paths in it are relative to it.

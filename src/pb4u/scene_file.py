@@ -1,4 +1,4 @@
-"""Scene files: a `Run` as TOML, with `[scene]`, one `[[garments]]` for each garment, and `[run]`.
+"""Scene files: a `Run` as TOML, with `[scene]`, one `[[garments]]` for each garment, `[run]` and `[environment]`.
 
 The entries are the fields of `Run` and of `WornGarment`; what is left out has its default.
 """
@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Mapping
+from dataclasses import fields
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
+from pb4u.environment import Environment
 from pb4u.errors import InputError, refuse_unknown
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.io.atomic_file import replace_file
@@ -19,6 +21,8 @@ from pb4u.run import Run, WornGarment, entries, located, names_file
 
 FORMAT_VERSION = 1
 """Version of the scene files that are read and written."""
+
+_NO_GROUND = "none"
 
 _HEADING = """\
 # A scene of pb4u: run it with `pb4u simulate` and the name of this file.
@@ -40,13 +44,13 @@ def read_scene(path: Path) -> Run:
         raise InputError(f"There is no scene file {path}.")
     tables = read_tables(path, "a scene file")
     try:
-        require_format(tables, ("scene", "garments", "run"), FORMAT_VERSION)
+        require_format(tables, ("scene", "garments", "run", "environment"), FORMAT_VERSION)
         listed = tables.get("garments", [{}])
         if not isinstance(listed, list):
             raise InputError("Each garment is a section of its own, written [[garments]].")
         worn = tuple(WornGarment(**_section("[[garments]]", each, "garments", path.parent)) for each in listed)
         scene, run = (_section(f"[{name}]", tables.get(name, {}), name, path.parent) for name in ("scene", "run"))
-        return Run(worn, **scene, **run)
+        return Run(worn, **scene, **run, environment=_environment(tables.get("environment", {})))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -87,6 +91,10 @@ def write_scene(run: Run, path: Path) -> None:
         *("[[garments]]\n" + tomli_w.dumps(each) for each in worn),
         tomli_w.dumps({"run": _written(run, "run", path.parent)}),
     ]
+    if changed := run.environment.changed:
+        # TOML has no None.
+        around = {name: _NO_GROUND if value is None else value for name, value in changed.items()}
+        sections.append(tomli_w.dumps({"environment": around}))
     replace_file(path, (_HEADING + "\n".join(sections)).encode())
 
 
@@ -128,6 +136,13 @@ def _section(title: str, table: Any, section: str, folder: Path) -> dict[str, An
     """The entries of a section, its files found from the `folder` of the scene file."""
     found = require_entries(title, table, entries(section))
     return {name: located(name, value, folder) for name, value in found.items()}
+
+
+def _environment(table: Any) -> Environment:
+    values = dict(require_entries("[environment]", table, [each.name for each in fields(Environment)]))
+    if values.get("ground") == _NO_GROUND:
+        values["ground"] = None
+    return Environment(**values)
 
 
 def _written(record: Run | WornGarment, section: str, folder: Path) -> dict[str, Any]:

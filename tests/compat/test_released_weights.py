@@ -68,10 +68,8 @@ def test_contourcraft_with_the_edges_that_its_code_found_is_met(compat: Path, ca
         model, step = released.checkpoint(dtype).model, golden.time_step(number, dtype)
         prepared = model.prepare(step.garments, dtype=dtype)
         prepared = replace(prepared, builder=replace(prepared.builder, finder=GoldenEdges(golden, number)))
-        network, nothing = (
-            NetworkPass(model, prepared, StepFeatures(prepared, IncrementalPotential())),
-            torch.zeros_like(step.state.positions),
-        )
+        network = NetworkPass(model, prepared, StepFeatures(prepared, IncrementalPotential()))
+        nothing = torch.zeros_like(step.state.positions)
         acceleration = network.correction(step, nothing)
         assert np.abs(acceleration.numpy() - golden.value(number, "pred_acceleration")).max() < bound
         edges = network.graph(step, nothing).edges["body_to_garment"]

@@ -16,17 +16,19 @@ from tests.simulation.ball_scene import sheet
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.collision import collision_free
 from pb4u.collision.crossings import crossings, self_crossings
+from pb4u.environment import STANDARD_GRAVITY, Environment
 from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.terms.friction import Friction
-from pb4u.scene.scene import STANDARD_GRAVITY, DressedGarment, Scene
+from pb4u.scene.scene import DressedGarment, Scene
 from pb4u.simulation.first_frame import AsPlaced
 from pb4u.simulation.refinement import ImplicitSteps
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.timeline import Timeline
 
+NO_GROUND = Environment(ground=None)
 FELT = IncrementalPotential().with_self_contact(bodies=True)
 METHODS = methods(FELT)
 
@@ -97,7 +99,7 @@ def scene_of(name: str, cells: int = 6, height: float = 0.603) -> Scene:
     edge = (np.abs(x[:, 0]) > 0.149).astype(int) + (np.abs(x[:, 2]) > 0.149)
     garment = garment.with_pins(edge >= {"corners": 2, "border": 1, "none": 3}[held])
     placed = PrescribedPlacement(np.repeat(x[None], FRAMES, axis=0))
-    return Scene((DressedGarment(garment, placed),), (Rigid(shape(), path),), FRAMES, ground_height=None)
+    return Scene((DressedGarment(garment, placed),), (Rigid(shape(), path),), FRAMES, environment=NO_GROUND)
 
 
 def crossed(scene: Scene, states: Iterator) -> list[int]:
@@ -206,7 +208,7 @@ def test_two_bodies_that_close_on_cloth_are_let_through_it() -> None:
     garment = sheet(6, 0.3, 0.604)
     placed = PrescribedPlacement(np.repeat(garment.vertices[None], FRAMES, axis=0))
     bodies = (Rigid(below, moved(0.06, FRAMES)), Rigid(above, moved(-0.06, FRAMES)))
-    scene = Scene((DressedGarment(garment, placed),), bodies, FRAMES, ground_height=None)
+    scene = Scene((DressedGarment(garment, placed),), bodies, FRAMES, environment=NO_GROUND)
     start, network, refinement, contact, first = METHODS["quick solver"]
     record = RunRecord()
     states = list(OneMethod(first, StepMethod(start, network, refinement, contact, FELT)).rollout(scene, record))
@@ -256,7 +258,7 @@ def rode(coefficient: float, share: float, frames: int = 10, settling: int = 4) 
     seconds = np.maximum(np.arange(settling + frames) - settling, 0) / 30.0
     path = (0.5 * share * limit * seconds**2)[:, None] * np.array([1.0, 0.0, 0.0])
     placed = PrescribedPlacement(np.repeat(garment.vertices[None], len(path), axis=0))
-    scene = Scene((DressedGarment(garment, placed),), (Rigid(plate, path),), len(path), ground_height=None)
+    scene = Scene((DressedGarment(garment, placed),), (Rigid(plate, path),), len(path), environment=NO_GROUND)
     potential = FELT.with_term(Friction())
     method = StepMethod(refinement=ImplicitSteps(potential), potential=potential)
     *_, last = OneMethod(AsPlaced(), method).rollout(scene, RunRecord())

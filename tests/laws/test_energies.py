@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tests.network_scenes import placed
 from tests.physics.shapes import (
     DT,
     EVALUATION,
@@ -110,8 +109,7 @@ def test_a_vertex_at_depth(depth: float) -> None:
     step = potential_of(garments, at_rest(garments, x), collider(FLOOR, FLOOR_FACES))
     expected = 5e3 / REFERENCE_AREA * 1.0 * (2e-3 + depth) ** 3
     assert value(step, x, "collision") == pytest.approx(expected, rel=1e-10)
-    ground = collider(FLOOR - [0, 5, 0], FLOOR_FACES, ground_height=0.0)
-    on_ground = potential_of(garments, at_rest(garments, x), ground)
+    on_ground = potential_of(garments, at_rest(garments, x), collider(FLOOR - [0, 5, 0], FLOOR_FACES), ground=0.0)
     assert value(on_ground, x, "collision") == pytest.approx(expected, rel=1e-10)
 
 
@@ -120,16 +118,16 @@ def test_a_vertex_at_depth(depth: float) -> None:
 def test_a_sliding_vertex(motion: tuple[float, float, float], slip: float, ground: bool) -> None:
     garments = packed(sheet(3, 3))
     x = garments.rest_positions[:, [0, 2, 1]] + vector(-0.5, 1e-3, -0.5)
-    body = collider(FLOOR, FLOOR_FACES, np.array(motion))
+    body, height = collider(FLOOR, FLOOR_FACES, np.array(motion)), None
     if ground:
-        body, slip = collider(FLOOR - [0, 5, 0], FLOOR_FACES, ground_height=0.0), 0.02
-    step = potential_of(garments, at_rest(garments, x), body, alone(Friction()))
+        body, height, slip = collider(FLOOR - [0, 5, 0], FLOOR_FACES), 0.0, 0.02
+    step = potential_of(garments, at_rest(garments, x), body, alone(Friction()), ground=height)
     smoothing = 1e-3 * DT
     length = np.sqrt((1 + 1e-4) * slip**2 + smoothing**2) - smoothing
     expected = 0.5 * EVALUATION.density * 9.81 * length
     moved = x + vector(0.02, 0.0, 0.0)
     assert value(step, moved, "friction") == pytest.approx(expected, rel=1e-10, abs=1e-15)
-    lifted = potential_of(garments, at_rest(garments, x + vector(0, 3e-3, 0)), body, alone(Friction()))
+    lifted = potential_of(garments, at_rest(garments, x + vector(0, 3e-3, 0)), body, alone(Friction()), ground=height)
     assert value(lifted, moved, "friction") == 0.0
 
 
@@ -162,10 +160,10 @@ def test_friction_carries_the_load_of_the_step_before() -> None:
 def test_friction_carries_the_load_of_the_ground_too() -> None:
     garments = packed(sheet(3, 3))
     x = garments.rest_positions[:, [0, 2, 1]] + vector(-0.5, 1e-3, -0.5)
-    body = collider(FLOOR - [0, 5, 0], FLOOR_FACES, ground_height=0.0)
+    body = collider(FLOOR - [0, 5, 0], FLOOR_FACES)
     moved = x + vector(0.02, 0.0, 0.0)
-    loaded = potential_of(garments, at_rest(garments, x), body)
-    usual = potential_of(garments, at_rest(garments, x), body, alone(Friction()))
+    loaded = potential_of(garments, at_rest(garments, x), body, ground=0.0)
+    usual = potential_of(garments, at_rest(garments, x), body, alone(Friction()), ground=0.0)
     ratio = 3 * 5e3 / REFERENCE_AREA * 1e-3**2 / (EVALUATION.density * 9.81)
     assert value(loaded, moved, "friction") == pytest.approx(ratio * value(usual, moved, "friction"), rel=1e-9)
 
@@ -176,8 +174,8 @@ def crumpled(seed: int = 0) -> tuple[StepPotential, torch.Tensor]:
     generator = torch.Generator().manual_seed(seed)
     noise = torch.randn(2, garments.vertex_count, 3, generator=generator, dtype=torch.float64)
     state = State(garments.rest_positions, 0.1 * noise[0], 3)
-    frame = collider(body.vertices, body.faces, np.array([0.01, 0.002, 0.004]), ground_height=0.0)
-    return potential_of(garments, state, frame), garments.rest_positions + 0.004 * noise[1]
+    frame = collider(body.vertices, body.faces, np.array([0.01, 0.002, 0.004]))
+    return potential_of(garments, state, frame, ground=0.0), garments.rest_positions + 0.004 * noise[1]
 
 
 @pytest.mark.parametrize("convention", ["project", "released"])
@@ -268,7 +266,7 @@ def test_stiffness_is_the_derivative_of_the_gradient(name: str, monkeypatch: pyt
         planes = contacts.next
         assert planes is not None
         x += (1.8e-3 - planes.signed_distance(x))[:, None] * planes.normals
-        at = replace(at, collider=placed(at.collider, bodies=replace(at.collider.colliders, ground_height=None)))
+        at = replace(at, environment=replace(at.environment, ground=None))
         frozen = replace(frozen, step=at)
     term = IncrementalPotential().term(name)
     direction = torch.randn(x.shape, generator=torch.Generator().manual_seed(6), dtype=torch.float64)
@@ -342,11 +340,12 @@ def test_two_garments_packed_are_two_garments_apart() -> None:
     generator = torch.Generator().manual_seed(2)
     x = both.rest_positions + 0.003 * torch.randn(both.vertex_count, 3, generator=generator, dtype=torch.float64)
     cut = both.vertex_offsets[1]
-    together = potential_of(both, collider=colliders(bodies, [0, 1], np.array([0.004, 0, 0]), 0.0))
+    together = potential_of(both, collider=colliders(bodies, [0, 1], np.array([0.004, 0, 0])), ground=0.0)
     energies, gradient = together.energies_and_gradient(x)
     for g, (mesh, body, rows) in enumerate([(first, bodies[0], slice(0, cut)), (second, bodies[1], slice(cut, None))]):
-        frame = collider(*body, np.array([0.004, 0, 0]), 0.0)
-        alone_energies, alone_gradient = potential_of(packed(mesh), collider=frame).energies_and_gradient(x[rows])
+        frame = collider(*body, np.array([0.004, 0, 0]))
+        step = potential_of(packed(mesh), collider=frame, ground=0.0)
+        alone_energies, alone_gradient = step.energies_and_gradient(x[rows])
         for name, term in energies.terms.items():
             assert float(term[g]) == pytest.approx(float(alone_energies.terms[name][0]), rel=1e-10, abs=1e-15)
         torch.testing.assert_close(gradient[rows], alone_gradient, rtol=1e-9, atol=1e-12)

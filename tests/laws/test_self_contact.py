@@ -13,6 +13,7 @@ from tests.collision.crossing_free_states import Surface, folded, stack
 from tests.physics.shapes import DT, nobody, packed, sheet, time_step
 
 from pb4u.collision.collision_free import SMALLEST_GAP
+from pb4u.environment import Environment
 from pb4u.errors import InputError
 from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.garment.garment import Garment
@@ -246,7 +247,7 @@ def slid(coefficient: float, degrees: float, steps: int = 9) -> tuple[float, flo
     settling, free = 5, ~garments.pinned
     for k in range(settling + steps):
         angle = np.radians(degrees) if k >= settling else 0.0
-        down = torch.tensor([9.81 * np.sin(angle), -9.81 * np.cos(angle), 0.0], dtype=torch.float64)
+        down = Environment((9.81 * np.sin(angle), -9.81 * np.cos(angle), 0.0), ground=None)
         if k == settling:
             state = State(state.positions, torch.zeros_like(start), state.frame)
             settled = state.positions

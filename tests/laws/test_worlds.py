@@ -38,7 +38,7 @@ def test_one_world_of_two_dressed_bodies_has_the_energies_of_two_worlds() -> Non
     for worlds in ([0, 0], [0, 1]):
         garments = packed(first, second, worlds=worlds)
         state = State(garments.rest_positions, 10.0 * shaken(garments), 0)
-        step = potential_of(garments, state, colliders(bodies, worlds, MOTION, ground_height=0.0))
+        step = potential_of(garments, state, colliders(bodies, worlds, MOTION), ground=0.0)
         found, gradient = step.energies_and_gradient(garments.rest_positions + shaken(garments))
         energies.append(found)
         gradients.append(gradient)

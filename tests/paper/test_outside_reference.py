@@ -14,6 +14,7 @@ from tests.readable_stiffness import dihedral_angles
 from tests.simulation.ball_scene import MATERIAL, Ball, ball_scene, sheet
 from torch import Tensor
 
+from pb4u.environment import Environment
 from pb4u.errors import InputError
 from pb4u.garment.dressing import Placement
 from pb4u.garment.garment import Garment
@@ -206,8 +207,7 @@ def test_hinge_stiffness_gives_our_bending_energy() -> None:
     angles = dihedral_angles(x, torch.from_numpy(hinges)).numpy()
     lengths = np.linalg.norm(folded[hinges[:, 1]] - folded[hinges[:, 0]], axis=1)
     theirs = float((0.5 * stiffness[: len(hinges)] * lengths * angles**2).sum())
-    state, nowhere = State(x, torch.zeros_like(x), 0), torch.zeros(3, dtype=x.dtype)
-    step = TimeStep(pack([garment]), state, nobody(), 1 / 30.0, nowhere)
+    step = TimeStep(pack([garment]), State(x, torch.zeros_like(x), 0), nobody(), 1 / 30.0, Environment((0, 0, 0)))
     assert theirs == pytest.approx(float(Bending().energies(step, ContactSet(), x)), rel=1e-9)
 
 

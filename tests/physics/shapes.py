@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
 import trimesh
 
+from pb4u.environment import Environment
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.physics.incremental_potential import IncrementalPotential
@@ -15,7 +17,6 @@ from pb4u.physics.step_potential import StepPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.colliders import ColliderFrame, pack_colliders
 from pb4u.scene.packed import PackedGarments, pack
-from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
 
 DT = 1.0 / 30.0
@@ -62,11 +63,10 @@ def collider(
     vertices: np.ndarray,
     faces: np.ndarray,
     motion: np.ndarray | float = 0.0,
-    ground_height: float | None = None,
     contact: np.ndarray | None = None,
 ) -> ColliderFrame:
     """A body that moves by `motion` [m] over the step."""
-    return colliders([(vertices, faces)], [0], motion, ground_height, contact)
+    return colliders([(vertices, faces)], [0], motion, contact)
 
 
 def nobody() -> ColliderFrame:
@@ -77,7 +77,6 @@ def colliders(
     bodies: Sequence[tuple[np.ndarray, np.ndarray]],
     worlds: Sequence[int],
     motion: np.ndarray | float = 0.0,
-    ground_height: float | None = None,
     contact: np.ndarray | None = None,
 ) -> ColliderFrame:
     """Bodies (vertices, faces), each in its world, that move by `motion` [m] over the step."""
@@ -89,7 +88,6 @@ def colliders(
         [torch.as_tensor(np.asarray(faces), dtype=torch.int64) for _, faces in bodies],
         [torch.as_tensor(part) for part in np.split(touched, cuts)],
         worlds,
-        ground_height,
     )
     return ColliderFrame(packed.pose(now - move), packed.pose(now), packed.pose(now + move))
 
@@ -104,11 +102,11 @@ def time_step(
     state: State | None = None,
     collider: ColliderFrame | None = None,
     dt: float = DT,
-    gravity: torch.Tensor | None = None,
+    **around: Any,
 ) -> TimeStep:
-    """A step under standard gravity, from rest by default."""
-    down = garments.rest_positions.new_tensor((0.0, -STANDARD_GRAVITY, 0.0)) if gravity is None else gravity
-    return TimeStep(garments, state or at_rest(garments), collider or nobody(), dt, down)
+    """A step under standard gravity and over no ground, from rest by default."""
+    environment = Environment(**{"ground": None, **around})
+    return TimeStep(garments, state or at_rest(garments), collider or nobody(), dt, environment)
 
 
 def potential_of(
@@ -116,9 +114,10 @@ def potential_of(
     state: State | None = None,
     collider: ColliderFrame | None = None,
     potential: IncrementalPotential | None = None,
+    **around: Any,
 ) -> StepPotential:
     """The potential of a `time_step`, the usual one by default."""
-    return (potential or IncrementalPotential()).of(time_step(garments, state, collider))
+    return (potential or IncrementalPotential()).of(time_step(garments, state, collider, **around))
 
 
 def packed(

@@ -14,6 +14,7 @@ from tests.readable_stiffness import readable_stiffness
 
 import pb4u.physics.solver.newton_solver as solver_module
 import pb4u.physics.step_potential as potential_module
+from pb4u.environment import STANDARD_GRAVITY, Environment
 from pb4u.errors import InputError
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import implicit_steps, substep_count
@@ -29,7 +30,6 @@ from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.terms.stretch import Stretch
 from pb4u.physics.time_step import DivergedError, TimeStep, integrate, require_finite
 from pb4u.scene.packed import PackedGarments
-from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
 
 
@@ -211,7 +211,7 @@ def test_integrator() -> None:
     pins = torch.full((4, 3), 9.0)
     pins[1] = torch.tensor([0.1, 0.2, 0.3])
     state = State(torch.zeros(4, 3), velocities, 4)
-    after = integrate(TimeStep(garments, state, nobody(), 0.1, torch.zeros(3), pins), acceleration)
+    after = integrate(TimeStep(garments, state, nobody(), 0.1, Environment((0, 0, 0)), pins), acceleration)
     torch.testing.assert_close(after.positions[0], torch.tensor([0.3, -0.01, 0.0]))
     torch.testing.assert_close(after.velocities[0], torch.tensor([3.0, -0.1, 0.0]))
     torch.testing.assert_close(after.positions[1], pins[1])

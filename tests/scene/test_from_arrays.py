@@ -108,7 +108,7 @@ def test_the_ground_is_put_under_a_body_that_does_not_stand_on_it(skirt: pb4u.Ga
             scene = pb4u.make_scene(mine, body, frames=2, lead_in=0)
         said = [note for note in scene.notes if "below height 0, so the ground is put there" in note]
         assert (len(said), said) == (down > 0.0, [str(each.message) for each in told if "ground" in str(each.message)])
-        assert scene.ground_height == pytest.approx(-down, abs=0.02)
+        assert scene.environment.ground == pytest.approx(-down, abs=0.02)
         made = pb4u.load_simulator("quick-solver").simulate(scene, pb4u.no_progress)
         heights.append(np.asarray(made.positions)[-1, :, 1] + down)
     # It was crushed on the ground before: 15 cm high.

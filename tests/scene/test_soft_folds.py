@@ -12,9 +12,10 @@ from tests.simulation.ball_scene import sheet
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.collision.crossings import crossings, self_crossings
+from pb4u.environment import Environment
 from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.garment.garment import Garment
-from pb4u.scene.scene import STANDARD_GRAVITY, DressedGarment, Scene
+from pb4u.scene.scene import DressedGarment, Scene
 from pb4u.scene.soft_folds import SoftFolds
 from pb4u.simulation.models import load_simulator
 
@@ -96,8 +97,7 @@ def hung(body: AnimatedBody, frames: int) -> Scene:
     held = upright[:, 1] > upright[:, 1].max() - 1e-6
     garment = Garment("sheet", upright, flat.faces, flat.material, pinned=held)
     placed = PrescribedPlacement(np.repeat(upright[None], frames, axis=0))
-    gravity = np.array([0.0, -STANDARD_GRAVITY, 0.0])
-    return Scene((DressedGarment(garment, placed),), (body,), frames, 0, gravity=gravity, ground_height=None)
+    return Scene((DressedGarment(garment, placed),), (body,), frames, 0, environment=Environment(ground=None))
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.environment import Environment
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.network.graph.builder import FoundEdges
@@ -94,7 +95,7 @@ class GoldenScene:
         velocity = at["pos"] - at["prev_pos"] if carried is None else carried
         poses = (self.colliders.pose(at[name]) for name in ("body_prev_pos", "body_pos", "body_target_pos"))
         state = State(at["pos"], velocity / dt, number)
-        return TimeStep(garments, state, ColliderFrame(*poses), dt, torch.zeros(3, dtype=dtype), at["target_pos"])
+        return TimeStep(garments, state, ColliderFrame(*poses), dt, Environment((0, 0, 0)), at["target_pos"])
 
 
 class GoldenEdges:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -57,7 +58,7 @@ def step_of(timeline: Timeline) -> TimeStep:
     """A step from rest, over which skinning carries all cloth along Z."""
     at = timeline.settling_from(timeline.skinned_state(0))
     motion = torch.zeros_like(at.state.positions) + torch.tensor([0.0, 0.0, 0.02], dtype=torch.float64)
-    return TimeStep(at.garments, at.state, at.collider, timeline.dt, at.gravity, at.state.positions + motion, motion)
+    return replace(at, dt=timeline.dt, pin_positions=at.state.positions + motion, skinned_motion=motion)
 
 
 def network(folder: Path, potential: IncrementalPotential) -> NetworkSimulator:

@@ -15,6 +15,7 @@ from ball_scene import ball_scene, sheet
 from tests.physics.shapes import nobody
 from torch import Tensor
 
+from pb4u.environment import Environment
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.network.graph.features import ADVANCE, DESCENT, FeatureLayout
@@ -49,7 +50,7 @@ def sheets(*cells: int, pinned: bool = False) -> TimeStep:
         generator = torch.Generator().manual_seed(cells[garment])
         crumpled[mine] += 1e-3 * torch.randn(crumpled[mine].shape, generator=generator, dtype=torch.float64)
     state = State(crumpled, torch.zeros_like(crumpled), 0)
-    return TimeStep(packed, state, nobody(), 1 / 30, torch.tensor([0.0, -9.81, 0.0]).double(), crumpled + 0.002)
+    return TimeStep(packed, state, nobody(), 1 / 30, Environment(ground=None), crumpled + 0.002)
 
 
 class JacobiPass:

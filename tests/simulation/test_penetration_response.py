@@ -21,14 +21,13 @@ def slab(
     thickness: float = 0.5,
     motion: tuple[float, float, float] = (0.0, 0.0, 0.0),
     top: float = 0.0,
-    ground_height: float | None = None,
 ) -> ColliderFrame:
     """A wide box whose top is at y = `top`, moving by `motion` [m] to where it is at the end of the step."""
     import trimesh
 
     box = trimesh.creation.box(extents=(4.0, thickness, 4.0))
     box.apply_translation([0.0, top - thickness / 2, 0.0])
-    return collider(box.vertices - np.array(motion), box.faces, np.array(motion), ground_height)
+    return collider(box.vertices - np.array(motion), box.faces, np.array(motion))
 
 
 def lying(height: float, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[PackedGarments, State]:
@@ -48,10 +47,14 @@ class Report(NamedTuple):
 
 
 def answered(
-    garments: PackedGarments, state: State, body: ColliderFrame, before: State | None = None
+    garments: PackedGarments,
+    state: State,
+    body: ColliderFrame,
+    before: State | None = None,
+    ground: float | None = None,
 ) -> tuple[State, Report]:
     """The response to `state` at the end of a step from `before`, by default the same positions, and its report."""
-    response, step = ContactResponse(), time_step(garments, before or state, body)
+    response, step = ContactResponse(), time_step(garments, before or state, body, ground=ground)
     after = response.respond(step, state)
     moved = (after.positions - state.positions).norm(dim=1)
     depths = [response.depth(step, x.expand_as(after.positions)) for x in after.positions]
@@ -110,7 +113,7 @@ def test_back_to_the_side_it_came_from() -> None:
 
 def test_the_ground_too() -> None:
     garments, state = lying(-4e-3, (0.2, -0.5, 0.0))
-    after, report = answered(garments, state, slab(top=-3.0, ground_height=0.0))
+    after, report = answered(garments, state, slab(top=-3.0), ground=0.0)
     assert float(after.positions[:, 1].min()) == pytest.approx(5e-4)
     assert after.velocities[0].tolist() == pytest.approx([0.2, 0.0, 0.0])
     assert report.pushed == 16

@@ -9,6 +9,7 @@ import torch
 from ball_scene import Ball, sheet
 from torch import Tensor
 
+from pb4u.environment import USUAL
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import AccelerationModel, NetworkConfiguration
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
@@ -45,8 +46,7 @@ def sheets_on_balls(*speeds: float, pinned: bool = False) -> TimeStep:
     carried = torch.zeros_like(start)
     carried[:, 0] = torch.tensor(speeds).double()[garments.vertex_garment] * DT
     state = State(start, torch.zeros_like(start), 0)
-    gravity = torch.tensor([0.0, -9.81, 0.0], dtype=torch.float64)
-    return TimeStep(garments, state, collider, DT, gravity, start + carried, carried)
+    return TimeStep(garments, state, collider, DT, USUAL, start + carried, carried)
 
 
 def risen(collider: ColliderFrame, by: Tensor) -> ColliderFrame:

@@ -9,12 +9,12 @@ import torch
 from tests.training.ball_data import TINY, ball_data
 from tests.training.listening import Listener, made
 
+from pb4u.environment import STANDARD_GRAVITY
 from pb4u.errors import InputError
 from pb4u.physics.step_potential import Energies
 from pb4u.physics.terms.collision import REFERENCE_AREA
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
-from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.training.objective import (
     comparable_total,
     mean_energies,

@@ -31,7 +31,8 @@ def changed(window: Window, shift: Tensor | float = 0.0, garments: PackedGarment
     """The window with its skinned garments shifted [m], or other garments in it."""
     was = window.timeline
     skinned = frames_of(window, "skinned") + shift
-    made = Timeline(garments or was.garments, was.colliders, frames_of(window, "body"), skinned, was.dt, was.gravity)
+    body = frames_of(window, "body")
+    made = Timeline(garments or was.garments, was.colliders, body, skinned, was.dt, was.environment)
     return replace(window, timeline=made)
 
 

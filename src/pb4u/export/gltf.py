@@ -61,6 +61,7 @@ def write_glb(
     """
     header, frames = trajectory.header, trajectory.frame_count
     worn, (cloth, _) = pieces(header), sewn_parts(header)
+    body = body and len(header.body_faces) > 0
     passes = len(worn) + body
     binary = path.with_name(f"{path.name}.bin")
     try:

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from pb4u.collision.crossings import crossings, self_crossings
 from pb4u.collision.nearest_surface import TriangleSurface
+from pb4u.environment import Environment
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
@@ -28,7 +29,6 @@ from pb4u.physics.time_step import TimeStep
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.colliders import ColliderFrame, pack_colliders
 from pb4u.scene.packed import PackedGarments, pack
-from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
 
@@ -294,12 +294,10 @@ class Ruler:
         self.trajectory = trajectory
         self.potentials = IncrementalPotential(), released_potential()
         self.dt = 1.0 / trajectory.fps
-        gravity = header.metadata.get("gravity", [0.0, -STANDARD_GRAVITY, 0.0])
-        self.gravity = torch.tensor(gravity, dtype=torch.float64)
+        self.environment = Environment.of_metadata(header.metadata)
         self.garments = packed_garments(trajectory)
         faces, contact = np.array(header.body_faces), np.array(header.body_contact)
-        ground = header.metadata.get("ground_height", 0.0)
-        self.colliders = pack_colliders([torch.from_numpy(faces)], [torch.from_numpy(contact)], [0], ground)
+        self.colliders = pack_colliders([torch.from_numpy(faces)], [torch.from_numpy(contact)], [0])
         # A step has three poses, and shares two of them with the next.
         self._pose = lru_cache(maxsize=3)(lambda t: self.colliders.pose(self._body(t)))
         closed = Topology(faces, len(contact)).is_closed
@@ -358,7 +356,7 @@ class Ruler:
             positions, velocities = (_tensor(e[t - 1]) for e in (self.trajectory.positions, self.trajectory.velocities))
             state = State(torch.nan_to_num(positions), torch.nan_to_num(velocities), t - 1)
         collider = ColliderFrame(*(self._pose(max(s, 0)) for s in (t - 2, t - 1, t)))
-        return TimeStep(self.garments, state, collider, self.dt, self.gravity)
+        return TimeStep(self.garments, state, collider, self.dt, self.environment)
 
     def _body(self, t: int) -> Tensor:
         return _tensor(self.trajectory.body_positions[t])

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from pb4u.environment import STANDARD_GRAVITY
 from pb4u.physics.contact.contact_set import ContactPlanes, ContactSet, no_planes
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.physics.terms.energy_term import EnergyTerm, dot, sum_by_garment
+from pb4u.physics.terms.energy_term import EnergyTerm, constant, dot, sum_by_garment
 from pb4u.physics.terms.friction import SLIDING_DOWN, slip_across
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.colliders import ColliderPose
 from pb4u.scene.packed import PackedGarments
-from pb4u.scene.scene import STANDARD_GRAVITY
 
 
 def released_potential() -> IncrementalPotential:
@@ -32,7 +32,7 @@ class ReleasedGravity(EnergyTerm):
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         garments = step.garments
-        energy = -garments.vertex_masses * (x @ step.gravity)
+        energy = -garments.vertex_masses * (x @ constant(step.environment.gravity, x.dtype, x.device))
         return sum_by_garment(energy, garments.vertex_garment, garments.garment_count)
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pb4u import __version__
+from pb4u.environment import Environment
 from pb4u.errors import InputWarning, Pb4uError
 from pb4u.jobs.job import Failure, JobPack, Made, address, attempted, require_content
 from pb4u.jobs.job_folder import FOLDER_VERSION
@@ -367,7 +368,7 @@ def entry_of(value: str, file: str) -> str:
 
 def _plain(specification: object, files: Mapping[str, list[str]]) -> Any:
     """A specification as JSON, files by their names and contents."""
-    if isinstance(specification, Run | WornGarment):
+    if isinstance(specification, Run | WornGarment | Environment):
         return {each.name: _plain(getattr(specification, each.name), files) for each in fields(specification)}
     if isinstance(specification, tuple):
         return [_plain(each, files) for each in specification]

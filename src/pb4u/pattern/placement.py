@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
+from pb4u.environment import UP
 from pb4u.garment.body_form import form_of
 from pb4u.garment.source_map import nearest_places
 from pb4u.pattern.body_measurements import shoulder_height, trunk_girths
 from pb4u.pattern.mesh import PatternMesh
-from pb4u.scene.scene import UP
 
 _REACH = 0.1
 """Distance [m] from the top and the middle of the pattern at which a panel keeps its placement a third as firmly."""

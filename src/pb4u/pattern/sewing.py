@@ -11,6 +11,7 @@ from torch import Tensor
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.collision.crossings import self_crossings
+from pb4u.environment import UP, Environment
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
@@ -28,7 +29,6 @@ from pb4u.physics.terms.collision import STIFF_CONTACT_WEIGHT, Collision
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.colliders import ColliderFrame, ColliderPose, pack_colliders
 from pb4u.scene.packed import PackedGarments, pack
-from pb4u.scene.scene import STANDARD_GRAVITY, UP
 from pb4u.scene.state import State
 from pb4u.threads import without_library_threads
 
@@ -115,8 +115,8 @@ class Sewing:
         self.rest_body = RestBody.of(body)
         faces, contact = torch.from_numpy(body.faces), torch.from_numpy(body.contact)
         # Sleeves have to close around hands as well.
-        self.whole = pack_colliders([faces], [torch.ones_like(contact)], [0], ground_height=None)
-        self.colliders = pack_colliders([faces], [contact], [0], ground_height=None)
+        self.whole = pack_colliders([faces], [torch.ones_like(contact)], [0])
+        self.colliders = pack_colliders([faces], [contact], [0])
         self.potential = IncrementalPotential().with_self_contact(True)
         terms = tuple(term for term in self.potential.terms if "friction" not in term.name)
         self.smooth = replace(self.potential, terms=terms)
@@ -251,9 +251,9 @@ class Sewing:
         near = nearest_planes(before, packed, x, within=_NEAR)
         moved = near.interpolated(collider.motion, self.whole.contact_faces) if before is not after else 0.0 * x
         share = torch.where(near.touchable, 1.0 - near.distance.abs() / _NEAR, 0.0).clamp(0.0, 1.0)
-        gravity = x.new_tensor(UP) * (-STANDARD_GRAVITY if hangs else 0.0)
+        around = Environment(Environment.gravity if hangs else (0.0, 0.0, 0.0), ground=None)
         state = State(x, share[:, None] * moved / dt, 0)
-        step = TimeStep(packed, state, collider, dt, gravity, pin_positions=x)
+        step = TimeStep(packed, state, collider, dt, around, pin_positions=x)
         with without_library_threads():
             state, _ = implicit_steps(potential, solver, step, _ITERATIONS)
         return state.positions

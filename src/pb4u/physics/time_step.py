@@ -8,6 +8,7 @@ from functools import cached_property, partial
 import torch
 from torch import Tensor
 
+from pb4u.environment import Environment
 from pb4u.errors import InputError, Pb4uError
 from pb4u.physics.contact.contact_set import MOTION_REACH, ContactSet, PlaneSearch, nearest_planes
 from pb4u.physics.contact.obstacle import Obstacle, sags
@@ -36,9 +37,9 @@ class TimeStep:
     Args:
         garments: static quantities.
         state: positions [m] and velocities [m/s] at frame t.
-        collider: the bodies around the step, if any, and the ground.
+        collider: the bodies around the step, if any.
         dt: length of the step [s].
-        gravity: (3,) [m/s^2].
+        environment: gravity, air and ground.
         pin_positions: (vertices, 3) [m] where the pinned vertices will be after the step; other rows are not read. None
             gives them no place: predictions then move them as any other.
         skinned_motion: (vertices, 3) [m] how far skinning moves each vertex over the step, or None.
@@ -51,7 +52,7 @@ class TimeStep:
     state: State
     collider: ColliderFrame
     dt: float
-    gravity: Tensor
+    environment: Environment
     pin_positions: Tensor | None = None
     skinned_motion: Tensor | None = None
 
@@ -80,11 +81,6 @@ class TimeStep:
         state = self.state
         starts_fixed = not (state.positions.requires_grad or state.velocities.requires_grad)
         return self.garments.device.type == "cpu" and not self.batches and starts_fixed
-
-    @property
-    def ground_height(self) -> float | None:
-        """Height of the ground plane [m], or None."""
-        return self.collider.ground_height
 
     @cached_property
     def contacts(self) -> ContactSet:

@@ -11,6 +11,7 @@ import numpy as np
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import PosedBody, ShapedBody
+from pb4u.environment import USUAL
 from pb4u.errors import refuse_unknown, warn
 from pb4u.garment.corrected_placement import CorrectedPlacement
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
@@ -44,9 +45,9 @@ def make_scene(
             inner first.
         body: built-in name, model or sequence file, or a body already loaded.
         motion: built-in name, file or Motion; default "walk". A body that is a sequence of vertices brings its own.
-        options: fields of `Run` on the scene by name, such as body_shape, frames, lead_in, crop, fps, arms_away, seed;
-            and triangles, material and pins of the garments, one for all or a list with one each, which hold where a
-            WornGarment leaves them open.
+        options: fields of `Run` on the scene by name, such as body_shape, frames, lead_in, crop, fps, arms_away, seed,
+            environment; and triangles, material and pins of the garments, one for all or a list with one each, which
+            hold where a WornGarment leaves them open.
 
     Raises:
         InputError: anything cannot be used, or what is given with a loaded object conflicts with it.
@@ -56,7 +57,7 @@ def make_scene(
             that comes from a file and is given without pins, or skin may show through a garment that is coarse for the
             body.
     """
-    known = ("material", "pins", "triangles", *entries("scene"))
+    known = ("material", "pins", "triangles", "environment", *entries("scene"))
     refuse_unknown("option of a scene", options, known)
     named: Sequence[Any] = garment if isinstance(garment, list | tuple) else [garment]
     worn = tuple(each if isinstance(each, WornGarment) else WornGarment(each) for each in named)
@@ -95,7 +96,7 @@ def build_scene(run: Run, written_fps: float | None = None) -> Scene:
     if kept:
         written = round(kept * (written_fps or run.fps) / run.fps)
         notes = (*notes, f"The first {written} frames lead from the rest pose into the motion.")
-    ground_height, more = _ground(run, collider, lead_in + frames)
+    ground, more = _ground(run, collider, lead_in + frames)
     notes = (*notes, *more)
     sources = [str(each.garment) if isinstance(each.garment, str | Path) else None for each in specified]
     return Scene(
@@ -105,7 +106,7 @@ def build_scene(run: Run, written_fps: float | None = None) -> Scene:
         lead_in=lead_in,
         kept_lead_in=kept,
         fps=run.fps,
-        ground_height=ground_height,
+        environment=replace(run.environment, ground=ground),
         seed=run.seed,
         labels={
             "garment": "+".join(each.garment.name for each in dressed),
@@ -120,17 +121,17 @@ def build_scene(run: Run, written_fps: float | None = None) -> Scene:
 
 def _ground(run: Run, collider: AnimatedBody, frames: int) -> tuple[float | None, tuple[str, ...]]:
     """Height [m] of the ground of all `frames`, and what is to be told of it."""
-    if run.as_recorded:
+    usual = run.environment.ground
+    if run.as_recorded and usual == USUAL.ground:
         # A recording that is played as it is stands at whatever height it has.
         return None, ()
-    usual = Scene.ground_height
     if isinstance(collider, PosedBody):
         # What has bones was put on the ground when its motion was made.
         return usual, ()
     lowest = min(float(collider.positions(frame, frame + 1)[..., 1].min()) for frame in range(frames))
     if usual is None or lowest > usual - _SUNKEN:
         return usual, ()
-    note = f"{collider.name} reaches {usual - lowest:.2f} m below height 0, so the ground is put there."
+    note = f"{collider.name} reaches {usual - lowest:.2f} m below height {usual:g}, so the ground is put there."
     warn(note)
     return lowest, (note,)
 

@@ -39,7 +39,6 @@ class PackedColliders:
         faces: (faces, 3) int64 into the packed vertices.
         contact: (vertices,) bool, False where contact is not answered.
         vertex_world: (vertices,) int64 world of each vertex, ascending.
-        ground_height: height of the ground plane [m], or None.
         surfaces: the searchable surface of each world's bodies, regions left out of contact cut away and the holes
             closed: cloth that a hand went through would come into the forearm by its open end. None for a world without
             a body that may be touched.
@@ -49,7 +48,6 @@ class PackedColliders:
     faces: Tensor
     contact: Tensor
     vertex_world: Tensor
-    ground_height: float | None
     surfaces: tuple[TriangleSurface | None, ...]
     rooms: Rooms | None = None
 
@@ -269,11 +267,6 @@ class ColliderFrame:
         return self.now.colliders
 
     @property
-    def ground_height(self) -> float | None:
-        """Height of the ground plane [m], or None."""
-        return self.colliders.ground_height
-
-    @property
     def empty(self) -> bool:
         """Whether there is no body at all."""
         return not len(self.colliders.faces)
@@ -308,25 +301,25 @@ def pack_colliders(
     faces: Sequence[Tensor],
     contact: Sequence[Tensor],
     worlds: Sequence[int],
-    ground_height: float | None = 0.0,
     surfaces: Sequence[TriangleSurface | None] | None = None,
 ) -> PackedColliders:
-    """Concatenate bodies.
+    """Concatenate bodies; none where the lists are empty.
 
     Args:
         faces: (faces, 3) int64 vertex indices of each body, on one device.
         contact: (vertices,) bool flags of each body, False where contact is not answered.
         worlds: world of each body, ascending.
-        ground_height: height of the ground plane [m], or None.
         surfaces: the searchable surface of each world's bodies, where they are already made.
     """
+    if not faces:
+        faces, contact, worlds = [torch.zeros((0, 3), dtype=torch.int64)], [torch.zeros(0, dtype=torch.bool)], [0]
     all_faces = torch.cat([part + start for part, start in zip(faces, offsets(contact), strict=False)])
     all_contact = torch.cat(list(contact))
     counts = torch.tensor([len(part) for part in contact], device=all_contact.device)
     owner = torch.tensor(list(worlds), device=all_contact.device).repeat_interleave(counts)
     if surfaces is None:
         surfaces = _surfaces(all_faces, all_contact, owner, max(worlds) + 1)
-    return PackedColliders(all_faces, all_contact, owner, ground_height, tuple(surfaces))
+    return PackedColliders(all_faces, all_contact, owner, tuple(surfaces))
 
 
 def _surfaces(

@@ -19,10 +19,10 @@ from torch import Tensor
 
 from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.collision.surface_tree import SurfaceTree
+from pb4u.environment import STANDARD_GRAVITY
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.geometry.topology import joined_indices, offsets
-from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.threads import to_device
 
 

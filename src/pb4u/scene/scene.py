@@ -5,17 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from pb4u.body.animated_body import AnimatedBody
+from pb4u.environment import USUAL, Environment
 from pb4u.garment.dressing import Placement
 from pb4u.garment.garment import Garment
-
-STANDARD_GRAVITY = 9.81
-"""Magnitude of gravity [m/s^2] in every scene that does not say otherwise; forces and residuals are measured in it."""
-
-UP = (0.0, 1.0, 0.0)
-"""Normal of the ground, the vertical of the world: the files of the package have +Y up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +33,12 @@ class Scene:
 
     Args:
         garments: the garments worn, inner first.
-        colliders: the moving bodies; each covers all frames.
+        colliders: the moving bodies, each of all frames; none where cloth hangs or falls by itself.
         frames: number of frames to write.
         lead_in: number of frames before the first written one.
         kept_lead_in: number of written frames that lead into the motion too.
         fps: frames per second [1/s]; one time step lasts 1 / fps.
-        gravity: (3,) [m/s^2].
-        ground_height: height of the ground plane [m]; None for no ground.
+        environment: gravity, air and ground.
         seed: seed of everything random in the simulation.
         labels: names for the metadata: garment, sources (name or file of each, None for a loaded one), body,
             body_shape, motion.
@@ -59,8 +51,7 @@ class Scene:
     lead_in: int = 0
     kept_lead_in: int = 0
     fps: float = 30.0
-    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, -STANDARD_GRAVITY, 0.0]))
-    ground_height: float | None = 0.0
+    environment: Environment = USUAL
     seed: int = 0
     labels: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -69,13 +60,13 @@ class Scene:
         worn = [dressed.garment for dressed in self.garments]
         garments = ", ".join(f"{each.name} ({each.triangle_count:,} triangles)" for each in worn)
         bodies = ", ".join(f"{body.name} ({len(body.faces):,} triangles)" for body in self.colliders)
-        ground = "none" if self.ground_height is None else f"{self.ground_height:g} m"
+        ground = "none" if self.environment.ground is None else f"{self.environment.ground:g} m"
         return (
             f"Scene of {self.frames} frames at {self.fps:g} fps after {self.lead_in} of lead-in\n"
             f"  garments: {garments}\n"
-            f"  bodies:   {bodies}\n"
+            f"  bodies:   {bodies or 'none'}\n"
             f"  motion:   {self.labels.get('motion', 'own')}, seed {self.seed}\n"
-            f"  gravity:  {self.gravity.tolist()} m/s^2, ground {ground}, {len(self.notes)} notes"
+            f"  gravity:  {list(self.environment.gravity)} m/s^2, ground {ground}, {len(self.notes)} notes"
         )
 
     @property

@@ -84,8 +84,11 @@ class TrajectoryHeader:
             rest_positions=np.concatenate([g.vertices for g in garments]).astype(np.float32),
             pinned=np.concatenate([g.pinned for g in garments]),
             vertex_garment=np.repeat(np.arange(len(garments), dtype=np.int32), np.diff(vertices)),
-            body_faces=joined_indices([body.faces for body in bodies], offsets([body.contact for body in bodies])),
-            body_contact=np.concatenate([body.contact for body in bodies]),
+            body_faces=joined_indices(
+                [np.zeros((0, 3), dtype=np.int64), *(body.faces for body in bodies)],
+                [0, *offsets([body.contact for body in bodies])],
+            ),
+            body_contact=np.concatenate([np.zeros(0, dtype=bool), *(body.contact for body in bodies)]),
             fps=scene.fps,
             metadata={
                 "garments": described,

@@ -11,6 +11,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from pb4u.environment import UP
 from pb4u.physics.contact.contact_set import ContactPlanes, nearest_planes
 from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.penetration_cleanup import FaceClearance
@@ -18,7 +19,6 @@ from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.colliders import ColliderFrame, ColliderPose
 from pb4u.scene.packed import PackedGarments
-from pb4u.scene.scene import UP
 from pb4u.scene.state import State
 
 _PIN_CLEARANCE = 2e-3
@@ -54,8 +54,8 @@ class ContactResponse:
         movable = ~step.garments.pinned
         if step.bodies is not None:
             x, v = self._out_of_bodies(step, step.bodies, x, v, movable)
-        if step.ground_height is not None:
-            depth = (_CLEARANCE - (x[:, 1] - step.ground_height)).clamp(0.0, _LARGEST_PUSH)
+        if step.environment.ground is not None:
+            depth = (_CLEARANCE - (x[:, 1] - step.environment.ground)).clamp(0.0, _LARGEST_PUSH)
             up = x.new_tensor(UP)
             touched = (depth > 0) & movable
             x = torch.where(touched[:, None], x + depth[:, None] * up, x)
@@ -158,6 +158,6 @@ def _depths(step: TimeStep, x: Tensor) -> Tensor:
     if step.bodies is not None:
         planes = _planes(step.bodies.following, step.garments, x)
         depths = torch.where(planes.touchable, -planes.distance, 0.0).clamp_min(0.0)
-    if step.ground_height is not None:
-        depths = torch.maximum(depths, (step.ground_height - x[:, 1]).clamp_min(0.0))
+    if step.environment.ground is not None:
+        depths = torch.maximum(depths, (step.environment.ground - x[:, 1]).clamp_min(0.0))
     return depths

@@ -135,7 +135,7 @@ class Simulator(ABC):
                 yield Frame(
                     state.positions.detach().cpu().numpy().astype(np.float32),
                     state.velocities.detach().cpu().numpy().astype(np.float32),
-                    np.concatenate([body.positions(frame, frame + 1)[0].numpy() for body in scene.colliders]),
+                    _body_positions(scene, frame),
                 )
 
     def simulate(self, scene: Scene, progress: Progress | None = None) -> Trajectory:
@@ -206,8 +206,7 @@ class Simulator(ABC):
             "propagation_steps": self.propagation_steps(scene),
             "seed": scene.seed,
             "versions": {"pb4u": __version__, "torch": torch.__version__, "numpy": np.__version__},
-            "gravity": scene.gravity.tolist(),
-            "ground_height": scene.ground_height,
+            **scene.environment.metadata,
             "lead_in": scene.lead_in,
             "heading": _heading(scene),
             "notes": list(scene.notes),
@@ -230,6 +229,12 @@ class SkinningSimulator(Simulator):
                 velocities = (positions - (positions if previous is None else previous)) / scene.dt
                 previous = positions
                 yield State(positions, velocities, start + offset)
+
+
+def _body_positions(scene: Scene, frame: int) -> np.ndarray:
+    """Vertices (body vertices, 3) float32 [m] of all bodies at a frame."""
+    positions = [body.positions(frame, frame + 1)[0].numpy() for body in scene.colliders]
+    return np.concatenate([np.zeros((0, 3), dtype=np.float32), *positions])
 
 
 def _heading(scene: Scene) -> float:

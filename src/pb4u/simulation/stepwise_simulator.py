@@ -49,8 +49,8 @@ class StepwiseSimulator(Simulator):
             the cloth is stretched beyond measure and still falling; 0 for none.
         contact: pushes out vertices left inside the body; none by default.
         first_frame: makes frame 0; by default one long step of the method's own.
-        potential: the energies, and whether cloth feels cloth: the first frame, the start of a step, a network's gradient
-            feature and search, and the solver all descend it. The six terms by default.
+        potential: the energies, and whether cloth feels cloth. First frame, start of a step, gradient feature and
+            search of a network, and the solver all descend it. The six terms by default.
     """
 
     refine: int = 0
@@ -282,7 +282,7 @@ class NetworkSimulator(StepwiseSimulator):
         """
 
         def shared(scene: Scene) -> tuple[object, ...]:
-            return scene.fps, tuple(scene.gravity.tolist()), scene.ground_height, bool(scene.colliders)
+            return scene.fps, scene.environment, bool(scene.colliders)
 
         free, _ = torch.cuda.mem_get_info(self.device)
         packs: list[list[int]] = []

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.rooms import Rooms
-from pb4u.errors import InputError
+from pb4u.environment import Environment
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.colliders import ColliderFrame, ColliderPose, PackedColliders, pack_colliders
 from pb4u.scene.packed import PackedGarments, pack
@@ -77,7 +77,7 @@ class Timeline:
         body: (body vertices, 3) [m] of every frame.
         skinned: (vertices, 3) [m] of the garments at every frame where skinning alone puts them.
         dt: time between frames [s].
-        gravity: (3,) [m/s^2].
+        environment: gravity, air and ground.
     """
 
     def __init__(
@@ -87,9 +87,9 @@ class Timeline:
         body: Frames,
         skinned: Frames,
         dt: float,
-        gravity: Tensor,
+        environment: Environment,
     ) -> None:
-        self.garments, self.colliders, self.dt, self.gravity = garments, colliders, dt, gravity
+        self.garments, self.colliders, self.dt, self.environment = garments, colliders, dt, environment
         self._body, self._skinned = body, skinned
         self._poses: dict[int, ColliderPose] = {}
 
@@ -115,37 +115,30 @@ class Timeline:
         """Timeline of scenes, each in a world of its own; in a shorter one the last frame stands for those beyond.
 
         Args:
-            scenes: garments and bodies, of one frame rate, gravity and ground.
+            scenes: garments and bodies, of one frame rate and environment.
             dtype: data type of positions and static quantities.
             device: device of the arrays.
             opens_folds: whether deep folds of the bodies are opened, as contact has them; else they are as posed.
-
-        Raises:
-            InputError: there is no body.
         """
         worn = [(world, each) for world, scene in enumerate(scenes) for each in scene.garments]
         bodies = [(world, body) for world, scene in enumerate(scenes) for body in scene.colliders]
-        if not bodies:
-            raise InputError("A scene needs a body; give one that stands still where nothing is to be worn.")
         garments = pack([each.garment for _, each in worn], dtype, device, [world for world, _ in worn])
         colliders = pack_colliders(
             [torch.as_tensor(body.faces, device=device) for _, body in bodies],
             [torch.as_tensor(body.contact, device=device) for _, body in bodies],
             [world for world, _ in bodies],
-            scenes[0].ground_height,
         )
 
         def frames(parts: Sequence[tuple[int, Callable[[int, int], Tensor]]]) -> BlockedFrames:
             def block(start: int, stop: int) -> Tensor:
                 rows = [_padded(part, scenes[world].total_frames, start, stop) for world, part in parts]
-                return torch.cat(rows, dim=1).to(device, dtype)
+                return torch.cat(rows or [torch.zeros(stop - start, 0, 3)], dim=1).to(device, dtype)
 
             return BlockedFrames(block, max(scene.total_frames for scene in scenes))
 
         body = frames([(world, (SoftFolds(body) if opens_folds else body).positions) for world, body in bodies])
         skinned = frames([(world, each.placement.positions) for world, each in worn])
-        gravity = torch.as_tensor(scenes[0].gravity, dtype=dtype, device=device)
-        return Timeline(garments, colliders, body, skinned, scenes[0].dt, gravity)
+        return Timeline(garments, colliders, body, skinned, scenes[0].dt, scenes[0].environment)
 
     def to(self, device: torch.device, rooms: Rooms) -> Timeline:
         """This timeline with all that a step reads on `device`.
@@ -165,7 +158,7 @@ class Timeline:
             return BlockedFrames(block, len(frames))
 
         garments, colliders = self.garments.to(device), self.colliders.to(device, rooms)
-        return Timeline(garments, colliders, moved(self._body), moved(self._skinned), self.dt, self.gravity.to(device))
+        return Timeline(garments, colliders, moved(self._body), moved(self._skinned), self.dt, self.environment)
 
     def skinned(self, frame: int) -> Tensor:
         """Garment vertices (vertices, 3) [m] at a frame where skinning alone puts them.
@@ -230,7 +223,7 @@ class Timeline:
         collider = ColliderFrame(self.pose(t - 1), self.pose(t), self.pose(t + 1))
         after = self.skinned(t + 1)
         motion = after - self.skinned(t)
-        return TimeStep(self.garments, state, collider, self.dt, self.gravity, after, motion)
+        return TimeStep(self.garments, state, collider, self.dt, self.environment, after, motion)
 
     def settling_from(self, state: State) -> TimeStep:
         """Long time step from rest on the bodies standing still at the state's frame.
@@ -244,7 +237,7 @@ class Timeline:
             replace(state, velocities=torch.zeros_like(state.velocities)),
             ColliderFrame(still, still, still),
             SETTLING_DT,
-            self.gravity,
+            self.environment,
             pins,
             torch.zeros_like(pins),
         )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from pb4u.environment import STANDARD_GRAVITY
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import PreparedGarments
 from pb4u.physics.incremental_potential import IncrementalPotential
@@ -13,7 +14,6 @@ from pb4u.physics.step_potential import Energies
 from pb4u.physics.terms.collision import Collision
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
-from pb4u.scene.scene import STANDARD_GRAVITY
 
 REFERENCE_WEIGHT = 5e3
 """Weight of the collision term at which losses of different times are compared [J/m^3]."""

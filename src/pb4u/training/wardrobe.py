@@ -91,7 +91,7 @@ class Wardrobe:
 
     def _make_colliders(self, bodies: tuple[int, ...]) -> PackedColliders:
         faces, contact, surfaces = zip(*(self._surface(body) for body in bodies), strict=True)
-        packed = pack_colliders(faces, contact, range(len(bodies)), 0.0, surfaces)
+        packed = pack_colliders(faces, contact, range(len(bodies)), surfaces)
         if self.rooms is None:
             return packed
         at_rest = torch.cat([torch.from_numpy(self.data.bodies[body].vertices) for body in bodies])

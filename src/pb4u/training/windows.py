@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from pb4u.body.skeleton import PoseSequence
+from pb4u.environment import USUAL
 from pb4u.garment.material import Material
 from pb4u.network.acceleration_model import PreparedGarments
 from pb4u.physics.contact.contact_set import nearest_planes
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import StepFeatures
 from pb4u.simulation.timeline import Timeline
@@ -235,14 +235,13 @@ class WindowLoader:
             bodies.append(wardrobe.body_positions(clip.body, transforms) - shift)
             skins.append(wardrobe.outfit_positions(sample.outfit, transforms) - shift)
         clips = [self.data.clips[sample.clip] for sample in samples]
-        body = torch.cat(bodies, dim=1)
         timeline = Timeline(
             wardrobe.packed([s.outfit for s in samples], [s.material for s in samples]),
             wardrobe.colliders([clip.body for clip in clips]),
-            body,
+            torch.cat(bodies, dim=1),
             torch.cat(skins, dim=1),
             1.0 / clips[0].poses.fps,
-            to_device(torch.tensor((0.0, -STANDARD_GRAVITY, 0.0), dtype=body.dtype), body.device),
+            USUAL,
         )
         return Window(tuple(samples), timeline, length)
 

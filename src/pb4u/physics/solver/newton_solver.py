@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.environment import STANDARD_GRAVITY
 from pb4u.physics.contact.self_contact import ClothPairs
 from pb4u.physics.solver.contact_tracking import TrackedContact, moved_off_the_body
 from pb4u.physics.solver.linear_solver import LinearSolution, conjugate_gradient
@@ -26,7 +27,6 @@ from pb4u.physics.terms.pair_stiffness import PairStiffness
 from pb4u.physics.terms.stiffness_matrix import StiffnessPattern
 from pb4u.physics.time_step import DivergedError
 from pb4u.scene.packed import PackedGarments
-from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.threads import without_library_threads
 
 _SUFFICIENT_DECREASE = 1e-4

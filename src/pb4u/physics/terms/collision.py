@@ -11,12 +11,12 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.jit import as_float64, compiled
+from pb4u.environment import STANDARD_GRAVITY, UP
 from pb4u.physics.contact.contact_set import ContactPlanes, ContactSet
 from pb4u.physics.terms.element_loops import SECOND, VALUE, Record, each_vertex, element_loops, vertex_record
 from pb4u.physics.terms.energy_term import EnergyTerm, Tangent, constant, sum_by_garment
 from pb4u.physics.terms.stiffness_matrix import StiffnessPattern
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.scene import STANDARD_GRAVITY, UP
 
 REFERENCE_AREA = 1.6e-4
 """Mean vertex area [m^2] of the family's T-shirt at 11,000 triangles."""
@@ -101,9 +101,9 @@ class Collision(EnergyTerm):
     def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
         garments, weight = step.garments, as_float64(self._vertex_weight(step))
         ground = []
-        if step.ground_height is not None:
+        if step.environment.ground is not None:
             up = np.tile(UP, (len(weight), 1))
-            ground = [vertex_record(garments, weight, self.clearance, step.ground_height * up, up)]
+            ground = [vertex_record(garments, weight, self.clearance, step.environment.ground * up, up)]
 
         @lru_cache(maxsize=2)  # those of a Newton step are asked for at every place that it tries
         def record(planes: ContactPlanes) -> Record:
@@ -132,9 +132,9 @@ class Collision(EnergyTerm):
             if planes is not None:
                 depth = (self.clearance - planes.signed_distance(x)).clamp_min(0.0)
                 yield torch.where(planes.touchable, depth, 0.0), planes.normals
-        if step.ground_height is not None:
+        if step.environment.ground is not None:
             up = constant(UP, x.dtype, x.device).expand_as(x)
-            yield (self.clearance - (x[:, 1] - step.ground_height)).clamp_min(0.0), up
+            yield (self.clearance - (x[:, 1] - step.environment.ground)).clamp_min(0.0), up
 
 
 def _tangent(x: np.ndarray, planes: np.ndarray, free: np.ndarray, bearing: np.ndarray, slots: np.ndarray) -> Tangent:

@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.jit import as_float64, compiled, compiled_into_callers
+from pb4u.environment import STANDARD_GRAVITY, UP
 from pb4u.physics.contact.contact_set import ContactSet
 from pb4u.physics.terms.collision import REFERENCE_AREA, Collision
 from pb4u.physics.terms.element_loops import GRADIENT, SECOND, VALUE, Record, each_vertex, element_loops, vertex_record
 from pb4u.physics.terms.energy_term import EnergyTerm, Tangent, constant, dot, sum_by_garment
 from pb4u.physics.terms.stiffness_matrix import StiffnessPattern
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.scene import STANDARD_GRAVITY, UP
 
 SLIDING_DOWN = 1e-4
 """Share of the squared slip that always counts, so that sliding straight down costs a little (reference 2.6)."""
@@ -142,8 +142,8 @@ class Friction(EnergyTerm):
             distance = torch.where(now.touchable, now.distance, torch.inf)
             touching = distance < self.radius
             anchor, normal = contacts.transported, contacts.transported_normals
-        if step.ground_height is not None:
-            height = before[:, 1] - step.ground_height
+        if step.environment.ground is not None:
+            height = before[:, 1] - step.environment.ground
             on_ground = (height < self.radius) & (height < distance)
             touching = touching | on_ground
             distance = torch.where(on_ground, height, distance)

@@ -10,7 +10,7 @@ from torch import Tensor
 from pb4u.collision.jit import as_float64
 from pb4u.physics.contact.contact_set import ContactSet
 from pb4u.physics.terms.element_loops import GRADIENT, Record, element_loops, vertex_record
-from pb4u.physics.terms.energy_term import EnergyTerm, sum_by_garment
+from pb4u.physics.terms.energy_term import EnergyTerm, constant, sum_by_garment
 from pb4u.physics.time_step import TimeStep
 
 
@@ -45,11 +45,17 @@ class Gravity(EnergyTerm):
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         garments = step.garments
         height = x - step.height_origin[garments.vertex_garment]
-        energy = -garments.vertex_masses * (height @ step.gravity)
+        energy = -garments.vertex_masses * (height @ _pull(step))
         return sum_by_garment(energy, garments.vertex_garment, garments.garment_count)
 
     def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
         garments = step.garments
-        weight = as_float64(garments.vertex_masses)[:, None] * as_float64(step.gravity)
+        weight = as_float64(garments.vertex_masses)[:, None] * as_float64(_pull(step))
         records = (vertex_record(garments, weight, as_float64(step.height_origin[garments.vertex_garment])),)
         return lambda _: records
+
+
+def _pull(step: TimeStep) -> Tensor:
+    """Gravity (3,) [m/s^2] in the numbers of the step."""
+    x = step.state.positions
+    return constant(step.environment.gravity, x.dtype, x.device)
