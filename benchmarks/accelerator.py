@@ -38,7 +38,7 @@ from pb4u.simulation.checkpoint import built_in_models, from_pretrained
 from pb4u.simulation.device_steps import states_after
 from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 from pb4u.simulation.pass_search import search_of
-from pb4u.simulation.step import StepMethod, predictions
+from pb4u.simulation.step import StepMethod, Taken, predictions
 from pb4u.simulation.step_start import start_of
 from pb4u.simulation.timeline import Timeline
 
@@ -206,17 +206,17 @@ def count(name: str, *scenes: Scene, card: torch.device = CARD) -> tuple[Counted
     method, rooms = method_of(model, timeline), timeline.colliders.rooms
     assert rooms is not None
     with torch.no_grad():
-        *_, after = predictions(timeline.step_from(timeline.skinned_state(1)), method, rooms)
+        *_, after = predictions(timeline.step_from(timeline.skinned_state(1)), method, rooms=rooms)
     rooms.grow(*rooms.taken())
     passes = rooms.sizes.get("passes", method.network.passes)
     step = timeline.step_from(after.state)
     with fake_card() if card.type == "cuda" else nullcontext(), torch.no_grad():
         for _ in range(2):
             # What is made once is made by the first of the two.
-            known, taken = faked((step, method), card)
+            known, taken, last_move = faked((step, method, after.last_move), card)
             with Counted() as counted:
-                *_, after = predictions(known, taken, known.collider.colliders.rooms)
-            assert after.state.positions.device.type == card.type
+                *_, made = predictions(known, taken, last_move, known.collider.colliders.rooms)
+            assert made.state.positions.device.type == card.type
     return counted, f"{passes} passes" if method.network.further else f"{passes} pass"
 
 
@@ -258,7 +258,7 @@ def measured_page(models: list[str], triangles: list[int], steps: int) -> Iterat
             method = method_of(model.to(card), timeline)
             each = []
             for replays in (False, True):
-                states = states_after(timeline, method, timeline.skinned_state(1), steps, replays)
+                states = states_after(timeline, method, Taken(timeline.skinned_state(1)), steps, replays)
                 near = [next(states) for _ in range(3)]
                 # Graphs are captured meanwhile.
                 sum(1 for _ in islice(states, steps // 3))
@@ -266,12 +266,11 @@ def measured_page(models: list[str], triangles: list[int], steps: int) -> Iterat
                 taken = sum(1 for _ in states)
                 each.append(f"{1e3 * (time.perf_counter() - began) / taken:.1f}")
             slow = method_of(model.to("cpu"), host)
-            state = host.skinned_state(1)
+            made = Taken(host.skinned_state(1))
             for _ in range(3):
                 with torch.no_grad():
-                    *_, made = predictions(host.step_from(state), slow)
-                state = made.state
-            apart = float((near[-1].positions - state.positions).abs().max())
+                    *_, made = predictions(host.step_from(made.state), slow, made.last_move)
+            apart = float((near[-1].positions - made.state.positions).abs().max())
             memory = torch.cuda.max_memory_allocated() / 1e9
             yield f"| {name} | {number:,} | {' | '.join(each)} | {memory:.1f} | {apart:.1e} | {PAPER[number]:.0f} |\n"
 

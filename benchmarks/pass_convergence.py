@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import warnings
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,9 +43,9 @@ def heights(models: dict[str, StepwiseSimulator], scene: str, options: argparse.
     quick = load_simulator("quick-solver", contact=False, self_contact=False)
     assert isinstance(quick, StepwiseSimulator)
     going = quick.method(timeline, record)
-    states = [next(iter(quick.first_frame.states(timeline, going)))]
+    states = [next(iter(quick.first_frame.states(timeline, going))).state]
     for _ in range(made.total_frames - 1):
-        states.append(take(timeline.step_from(states[-1]), going))
+        states.append(take(timeline.step_from(states[-1]), going).state)
     left: dict[str, list[list[float]]] = {name: [] for name in models}
     for frame in range(LEAD_IN, len(states) - 1, options.every):
         step = timeline.step_from(states[frame])
@@ -57,8 +56,8 @@ def heights(models: dict[str, StepwiseSimulator], scene: str, options: argparse.
         for name, model in models.items():
             method = model.method(timeline, record)
             *_, earlier = predictions(timeline.step_from(states[frame - 1]), method)
-            begun = timeline.step_from(replace(states[frame], last_move=earlier.state.last_move))
-            made = [each.state.positions for each in predictions(begun, method)]
+            begun = timeline.step_from(states[frame])
+            made = [each.state.positions for each in predictions(begun, method, earlier.last_move)]
             energies = [float(evaluated.energies(x).total) for x in made]
             stages = [*energies[: method.network.passes + 1], energies[-1]]
             left[name].append([1e3 * (energy - least) / weight for energy in stages])

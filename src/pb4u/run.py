@@ -159,6 +159,10 @@ class Run:
         as_recorded: Play an SMPL recording (.pkl, AMASS .npz) as it is, on its own shape, place and height;
             --arms-away 20 is the released code's separate_arms.
         omitted: Body vertices left out of contact: smpl_aux.pkl, or a list. Default: the body's own.
+        rest_shape: Rest shape of built-in garments: moulded on the body.
+        friction_law: Friction of cloth against bodies and cloth: the paper's.
+        time_integration: Rule of integration in time.
+        air: Whether air drags cloth, which it does not yet.
         environment: Gravity, air and ground: the section [environment] of a scene file.
 
     Raises:
@@ -196,6 +200,10 @@ class Run:
     ] = "auto"
     as_recorded: Annotated[bool, Flag(RESEARCH, names=("--as-recorded/--retargeted",))] = False
     omitted: Annotated[str | Path | None, Flag(RESEARCH, "FILE", is_file=True)] = None
+    rest_shape: Annotated[Literal["moulded"], Flag(SCENE, "NAME")] = "moulded"
+    friction_law: Annotated[Literal["paper"], _model("NAME", applies_to=STEPS)] = "paper"
+    time_integration: Annotated[Literal["implicit-euler"], _model("NAME", applies_to=STEPS)] = "implicit-euler"
+    air: Annotated[bool, _model(applies_to=STEPS)] = False
     environment: Environment = USUAL
 
     def __post_init__(self) -> None:
@@ -205,6 +213,8 @@ class Run:
         if self.crop is not None:
             object.__setattr__(self, "crop", _checked_crop(self.crop))
         _check(self)
+        if self.air:
+            raise InputError("air must be false: no energy of the air is among those of a simulation yet.")
         if not isinstance(self.environment, Environment):
             raise InputError(f"The environment of a run is a pb4u.Environment, not {self.environment!r}.")
         if not self.garments:

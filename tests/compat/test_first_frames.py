@@ -37,7 +37,7 @@ class Raised:
 
 def begun(start: Any) -> tuple[Timeline, list[Any], list[TimeStep]]:
     timeline, network = Timeline.of(ball_scene(frames=8, lead_in=0)), Raised()
-    return timeline, list(start.states(timeline, StepMethod(network=network))), network.asked
+    return timeline, [made.state for made in start.states(timeline, StepMethod(network=network))], network.asked
 
 
 def body(step: TimeStep) -> tuple[Tensor, Tensor, Tensor]:
@@ -89,7 +89,7 @@ def test_frames_that_are_skinned_cross_nowhere_where_cloth_feels_cloth(start: An
     faces = timeline.garments.faces.numpy()
     assert len(self_crossings(timeline.skinned(0).numpy(), faces)) > 0
     apart = IncrementalPotential().with_self_contact()
-    for state in start.states(timeline, StepMethod(network=Raised(), potential=apart)):
+    for state, _ in start.states(timeline, StepMethod(network=Raised(), potential=apart)):
         assert len(self_crossings(state.positions.numpy(), faces, sharing=True)) == 0, state.frame
 
 

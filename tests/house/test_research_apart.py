@@ -72,7 +72,7 @@ print(*(name for name in sys.modules if name.startswith("pb4u.")))
 
 REFUSALS = {
     "pb4u.load_simulator('comparison-hood')": "unknown type 'HoodConfiguration'",
-    "pb4u.load_simulator('pb4u-light', first_frame='mgn')": "no first frame 'mgn'; there are long_step, placed.",
+    "pb4u.load_simulator('pb4u-light', first_frame='mgn')": "no first frame 'mgn'; there are settled, long_step,",
     "pb4u.load_simulator('warm-start')": "no control 'warm-start'; there are none.",
     "pb4u.load_simulator('literal')": "no model 'literal';",
     "pb4u.load_simulator('absent.pth')": "There is no model file absent.pth",

@@ -384,7 +384,7 @@ def test_no_step_of_any_kind_leaves_cloth_crossing(scene: str, method: str) -> N
     record = RunRecord()
     timeline = Timeline.of(placed)
     simulator = OneMethod(first, taken)
-    state, seen = require_finite(first.start(timeline, taken)), 0
+    state, seen = require_finite(first.start(timeline, taken).state), 0
     for written in simulator.rollout(placed, record):
         for x in (state.positions.numpy(), written.positions.numpy()):
             assert states.crossing(x) == 0

@@ -33,7 +33,7 @@ from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 from pb4u.simulation.pass_search import eigenvectors, search_of
 from pb4u.simulation.simulator import RunRecord
-from pb4u.simulation.step import StepMethod, predictions
+from pb4u.simulation.step import StepMethod, Taken, predictions
 from pb4u.simulation.step_graph import Outputs
 from pb4u.simulation.step_start import start_of
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
@@ -55,12 +55,11 @@ def method_of(model: AccelerationModel, timeline: Timeline) -> StepMethod:
 
 def on_host(model: AccelerationModel, steps: int) -> list[torch.Tensor]:
     timeline = Timeline.of(ball_scene(frames=steps + 2, cells=7))
-    method, state = method_of(model, timeline), timeline.skinned_state(1)
+    method, taken = method_of(model, timeline), Taken(timeline.skinned_state(1))
     made = []
     for _ in range(steps):
-        *_, made_last = predictions(timeline.step_from(state), method)
-        state = made_last.state
-        made.append(state.positions.detach())
+        *_, taken = predictions(timeline.step_from(taken.state), method, taken.last_move)
+        made.append(taken.state.positions.detach())
     return made
 
 
@@ -78,7 +77,7 @@ def on_device(
     model: AccelerationModel, steps: int, rooms: Rooms, replays: bool = False, device: str = "cpu"
 ) -> list[torch.Tensor]:
     timeline = Timeline.of(ball_scene(frames=steps + 2, cells=7)).to(torch.device(device), rooms)
-    states = states_after(timeline, method_of(model, timeline), timeline.skinned_state(1), steps + 2, replays)
+    states = states_after(timeline, method_of(model, timeline), Taken(timeline.skinned_state(1)), steps + 2, replays)
     return [state.positions for state in states]
 
 
@@ -219,15 +218,15 @@ def test_a_scene_of_a_pack_is_the_scene_alone(
     def rolled(scenes: list[Scene]) -> list[torch.Tensor]:
         timeline, frames = Timeline.of_worlds(scenes), max(scene.total_frames for scene in scenes)
         timeline = timeline.to(torch.device("cpu"), Rooms()) if fixed else timeline
-        method, state = method_of(model, timeline), timeline.skinned_state(1)
+        method, taken = method_of(model, timeline), Taken(timeline.skinned_state(1))
         if fixed:
-            return [state.positions for state in states_after(timeline, method, state, frames)]
+            return [state.positions for state in states_after(timeline, method, taken, frames)]
         states = []
         for _ in range(2, frames):
-            made = list(predictions(timeline.step_from(state), method))
+            made = list(predictions(timeline.step_from(taken.state), method, taken.last_move))
             passes.append(len(made))
-            state = made[-1].state
-            states.append(state.positions.detach())
+            taken = made[-1]
+            states.append(taken.state.positions.detach())
         return states
 
     scenes = worlds(shift)

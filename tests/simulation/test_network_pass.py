@@ -124,7 +124,7 @@ def test_every_pass_starts_where_the_last_left_off() -> None:
         for _ in range(3):
             graph = prepared.graph(at.state, at.collider, at.dt, local_origins(at.collider, 1), features.of(at, found))
             found = found + network(graph, prepared).to(found)
-    taken = take(at, StepMethod(network=pass_of(network, prepared, 3)))
+    taken = take(at, StepMethod(network=pass_of(network, prepared, 3))).state
     assert torch.allclose(taken.positions, integrate(at, found).positions, atol=1e-7)
 
 

@@ -108,8 +108,8 @@ def test_the_solver_and_its_first_frame_follow_another_potential(simulator) -> N
     for potential in (SIX, SIX.with_term(Pull("pull"))):
         made: StepwiseSimulator = simulator(potential=potential)
         method = made.method(timeline, RunRecord())
-        first = made.first_frame.start(timeline, method)
-        after = take(timeline.step_from(first), method)
+        first = made.first_frame.start(timeline, method).state
+        after = take(timeline.step_from(first), method).state
         ways.append([float((x - timeline.skinned(0))[:, 2].mean()) for x in (first.positions, after.positions)])
     (settled, taken), (drawn, further) = ways
     assert drawn > settled + 0.02

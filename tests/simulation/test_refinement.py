@@ -33,7 +33,7 @@ def first_step(speed: float, potential: IncrementalPotential = POTENTIAL) -> Tim
     """The first step of a sheet that lies on a ball, which begins to move at `speed` [m/s]."""
     timeline = Timeline.of(ball_scene(speed=speed))
     method = StepMethod(contact=ContactResponse(), potential=potential)
-    return timeline.step_from(Settled().start(timeline, method))
+    return timeline.step_from(Settled().start(timeline, method).state)
 
 
 def left_behind(step: TimeStep) -> State:

@@ -26,7 +26,7 @@ from pb4u.simulation.models import load_simulator
 from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.run_simulation import frame_count, roll_out
 from pb4u.simulation.simulator import RunRecord, SkinningSimulator
-from pb4u.simulation.step import StepMethod, take
+from pb4u.simulation.step import StepMethod, Taken, take
 from pb4u.simulation.stepwise_simulator import SolverSimulator, StepwiseSimulator
 from pb4u.simulation.timeline import Timeline
 
@@ -204,7 +204,7 @@ def test_a_step_changes_nothing_that_it_was_given() -> None:
     state = timeline.skinned_state(0)
     before = state.positions.clone(), state.velocities.clone()
     method = SolverSimulator(contact=ContactResponse()).method(timeline, RunRecord())
-    after = take(timeline.step_from(state), method)
+    after = take(timeline.step_from(state), method).state
     assert torch.equal(state.positions, before[0])
     assert torch.equal(state.velocities, before[1])
     assert after.frame == 1
@@ -223,11 +223,11 @@ def test_pins_follow_the_body() -> None:
 
 def test_settling_lowers_the_sheet_and_leaves_it_at_rest() -> None:
     timeline, method = Timeline.of(ball_scene()), StepMethod(contact=ContactResponse())
-    settled = Settled().start(timeline, method)
+    settled = Settled().start(timeline, method).state
     assert settled.frame == 0
     assert float(settled.positions[:, 1].min()) < 0.62
     assert float(settled.velocities.abs().max()) == 0.0
-    flown = OneLongStep().start(timeline, method)
+    flown = OneLongStep().start(timeline, method).state
     torch.testing.assert_close(flown.positions, timeline.skinned(0))
 
 
@@ -238,10 +238,11 @@ def test_settling_goes_on_until_every_garment_is_still(monkeypatch: pytest.Monke
     timeline, steps = Timeline.of(replace(scene, garments=worn)), list[int]()
     falls = timeline.garments.vertex_garment == 1
 
-    def taken(step: TimeStep, _: StepMethod) -> State:
+    def taken(step: TimeStep, _: StepMethod) -> Taken:
         steps.append(len(steps))
         by = 3e-3 if len(steps) < 4 else 1e-3
-        return replace(step.state, positions=step.state.positions - by * falls[:, None] * torch.tensor([0.0, 1.0, 0.0]))
+        fallen = step.state.positions - by * falls[:, None] * torch.tensor([0.0, 1.0, 0.0])
+        return Taken(replace(step.state, positions=fallen))
 
     monkeypatch.setattr("pb4u.simulation.first_frame.take", taken)
     Settled().start(timeline, StepMethod())

@@ -140,7 +140,7 @@ def test_a_network_that_adds_nothing_ends_at_the_start(name: str) -> None:
     expected = integrate(at, BodyMotionWarmStart(SIX, SHARES).accelerations(at))
     passes = NetworkPass(model, prepared, StepFeatures(prepared, SIX), model.network.configuration.passes)
     method = StepMethod(start_of(model.network, SIX), passes)
-    assert torch.allclose(take(at, method).positions, expected.positions)
+    assert torch.allclose(take(at, method).state.positions, expected.positions)
 
 
 @pytest.mark.parametrize("network", [Pb4uConfiguration(), NETWORKS["eslr"], NETWORKS["contourcraft"]])

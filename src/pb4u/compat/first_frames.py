@@ -14,7 +14,7 @@ from torch import Tensor
 from pb4u.scene.colliders import ColliderFrame, ColliderPose
 from pb4u.scene.state import State
 from pb4u.simulation.first_frame import FIRST_FRAMES, FirstFrame, untangled
-from pb4u.simulation.step import StepMethod, take
+from pb4u.simulation.step import StepMethod, Taken, take
 from pb4u.simulation.timeline import SETTLING_DT, Timeline
 
 CLEARANCE = 2e-3
@@ -31,38 +31,38 @@ class StandingStart(FirstFrame):
 
     push: float = 1.5
 
-    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
-        yield from (untangled(timeline, method, timeline.skinned_state(frame)) for frame in (0, 1))
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[Taken]:
+        yield from (Taken(untangled(timeline, method, timeline.skinned_state(frame))) for frame in (0, 1))
         begun = timeline.skinned_state(2)
         pushed = pushed_out(begun.positions, timeline.pose(2), self.push)
         begun = untangled(timeline, method, replace(begun, positions=pushed))
-        settled = take(timeline.settling_from(begun), method)
-        state = replace(settled, velocities=settled.velocities * (SETTLING_DT / timeline.dt), frame=2)
-        yield state
+        settled, last_move = take(timeline.settling_from(begun), method)
+        state = State(settled.positions, settled.velocities * (SETTLING_DT / timeline.dt), 2)
+        yield Taken(state, last_move)
         step = timeline.step_from(state)
         standing = ColliderFrame(step.collider.now, step.collider.now, step.collider.following)
-        yield take(replace(step, collider=standing), method)
+        yield take(replace(step, collider=standing), method, last_move)
 
 
 class MovingStart(FirstFrame):
     """MeshGraphNet and the HOOD of the paper: one long step from frame 1 to 2, after which the cloth is at rest."""
 
-    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
-        yield untangled(timeline, method, timeline.skinned_state(0))
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[Taken]:
+        yield Taken(untangled(timeline, method, timeline.skinned_state(0)))
         skinned = timeline.skinned(1)
         pushed = pushed_out(skinned, timeline.pose(1), 1.0)
         begun = untangled(timeline, method, State(pushed, torch.zeros_like(skinned), 1))
-        yield begun
-        moved = take(replace(timeline.step_from(begun), dt=SETTLING_DT), method)
-        yield replace(moved, velocities=torch.zeros_like(moved.velocities))
+        yield Taken(begun)
+        moved, last_move = take(replace(timeline.step_from(begun), dt=SETTLING_DT), method)
+        yield Taken(State(moved.positions, torch.zeros_like(moved.velocities), moved.frame), last_move)
 
 
 class SkinnedStart(FirstFrame):
     """ContourCraft: two skinned frames, whose velocity is kept; no push and no long step."""
 
-    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[Taken]:
         for frame in (0, 1):
-            yield untangled(timeline, method, timeline.skinned_state(frame))
+            yield Taken(untangled(timeline, method, timeline.skinned_state(frame)))
 
 
 def pushed_out(positions: Tensor, body: ColliderPose, factor: float) -> Tensor:

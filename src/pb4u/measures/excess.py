@@ -283,13 +283,13 @@ class Reference:
         minima, heights = StepMinima(self.potential), []
         for each in self.shared:
             *_, earlier = predictions(self.timeline.step_from(each.before), method)
-            step = self.timeline.step_from(replace(each.state, last_move=earlier.state.last_move))
+            step, last = self.timeline.step_from(each.state), earlier.last_move
             try:
-                predicted = take(step, method) if settled else [*predictions(step, method)][-1].state
+                predicted = take(step, method, last) if settled else [*predictions(step, method, last)][-1]
             except DivergedError:
                 heights.append(math.nan)
                 continue
-            x = predicted.positions.to(torch.float64)
+            x = predicted.state.positions.to(torch.float64)
             finite = bool(torch.isfinite(x).all())
             heights.append(minima.excess(step, x, each.least) if finite else math.nan)
         return heights

@@ -299,7 +299,7 @@ def _reference(run: Run) -> Reference:
 
     scene, _ = _scene(run, run.fps)
     timeline, solver = Timeline.of(scene), SolverSimulator()
-    first = solver.first_frame.start(timeline, solver.method(timeline, RunRecord()))
+    first = solver.first_frame.start(timeline, solver.method(timeline, RunRecord())).state
     return Reference.of(solver.potential, timeline, first, scene.total_frames, scene.lead_in)
 
 

@@ -12,6 +12,7 @@ from pb4u.environment import Environment
 from pb4u.errors import InputError, Pb4uError
 from pb4u.physics.contact.contact_set import MOTION_REACH, ContactSet, PlaneSearch, nearest_planes
 from pb4u.physics.contact.obstacle import Obstacle, sags
+from pb4u.physics.integrator import IMPLICIT_EULER, Integrator
 from pb4u.scene.colliders import ColliderFrame
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State
@@ -43,6 +44,7 @@ class TimeStep:
         pin_positions: (vertices, 3) [m] where the pinned vertices will be after the step; other rows are not read. None
             gives them no place: predictions then move them as any other.
         skinned_motion: (vertices, 3) [m] how far skinning moves each vertex over the step, or None.
+        integrator: gives inertia, and the velocities and history of the state that the step leads to.
 
     Raises:
         InputError: a time step that is not positive, or shapes that do not match.
@@ -55,6 +57,7 @@ class TimeStep:
     environment: Environment
     pin_positions: Tensor | None = None
     skinned_motion: Tensor | None = None
+    integrator: Integrator = IMPLICIT_EULER
 
     def __post_init__(self) -> None:
         if not 0.0 < self.dt < float("inf"):
@@ -128,7 +131,7 @@ class TimeStep:
         return torch.where(self.garments.pinned[:, None], self.pin_positions, positions)
 
     def part(self, k: int, count: int, state: State) -> TimeStep:
-        """The k-th of `count` equal parts of the step.
+        """The k-th of `count` equal parts of the step; of states a whole step apart the first knows nothing.
 
         Args:
             k: number of the part, from 0.
@@ -138,25 +141,38 @@ class TimeStep:
         pins, motion = self.pin_positions, self.skinned_motion
         return replace(
             self,
-            state=state,
+            state=state if k else replace(state, history=()),
             collider=self.collider.between(k / count, (k + 1) / count),
             dt=self.dt / count,
             pin_positions=None if pins is None else torch.lerp(self.state.positions, pins, (k + 1) / count),
             skinned_motion=None if motion is None else motion / count,
         )
 
+    @property
+    def inertial_dt(self) -> float:
+        """Time [s] by whose square inertia is divided."""
+        return self.integrator.inertial_dt(self.state, self.dt)
+
+    @property
+    def free_move(self) -> Tensor:
+        """How far (vertices, 3) [m] every vertex goes where nothing acts on it, pins included."""
+        return self.integrator.free_move(self.state, self.dt)
+
     def reached(self, positions: Tensor) -> State:
-        """State at the end of the step; its velocities are the displacements over the step's length.
+        """State at the end of the step, with the velocities that a move there leaves.
 
         Args:
             positions: (vertices, 3) [m] at the end of the step.
         """
-        before = self.state
-        return State(positions, (positions - before.positions) / self.dt, before.frame + 1, before.last_move)
+        return self._moved(positions, positions - self.state.positions)
+
+    def _moved(self, positions: Tensor, move: Tensor) -> State:
+        state, rule = self.state, self.integrator
+        return State(positions, rule.velocities(state, self.dt, move), state.frame + 1, rule.history(state))
 
 
 def integrate(step: TimeStep, acceleration: Tensor) -> State:
-    """State after semi-implicit Euler: v' = v + a / dt, x' = x + dt v'; differentiable.
+    """State after a step with accelerations, of implicit Euler v' = v + a / dt, x' = x + dt v'; differentiable.
 
     Pinned vertices take their places and the velocity that brings them there. Source: the integrator of MeshGraphNets
     and its descendants, in SI units outside the network.
@@ -165,12 +181,12 @@ def integrate(step: TimeStep, acceleration: Tensor) -> State:
         step: the time step that is taken.
         acceleration: (vertices, 3) acceleration times dt^2 [m per step^2].
     """
-    state, pins = step.state, step.pin_positions
-    displacement = step.dt * state.velocities + acceleration
-    positions = step.with_pins(state.positions + displacement)
+    before, pins = step.state.positions, step.pin_positions
+    move = step.free_move + acceleration
+    positions = step.with_pins(before + move)
     if pins is not None:
-        displacement = torch.where(step.garments.pinned[:, None], pins - state.positions, displacement)
-    return State(positions, displacement / step.dt, state.frame + 1, state.last_move)
+        move = torch.where(step.garments.pinned[:, None], pins - before, move)
+    return step._moved(positions, move)
 
 
 def require_finite(state: State) -> State:

@@ -114,6 +114,7 @@ def build_scene(run: Run, written_fps: float | None = None) -> Scene:
             "body": collider.name,
             "body_shape": dict(body.shape) if isinstance(body, ShapedBody) else {},
             "motion": performed.motion,
+            "rest_shape": run.rest_shape,
         },
         notes=notes,
     )

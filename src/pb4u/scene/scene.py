@@ -41,7 +41,7 @@ class Scene:
         environment: gravity, air and ground.
         seed: seed of everything random in the simulation.
         labels: names for the metadata: garment, sources (name or file of each, None for a loaded one), body,
-            body_shape, motion.
+            body_shape, motion, rest_shape.
         notes: plain sentences about what was changed or ignored while the scene was made.
     """
 

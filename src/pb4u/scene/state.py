@@ -15,11 +15,15 @@ class State:
         positions: (vertices, 3) [m].
         velocities: (vertices, 3) [m/s].
         frame: index of the frame in its scene, lead-in included.
-        last_move: (vertices, 3) how far the last pass of the network went in the step before [m per step^2]; None where
-            no pass was joined with the one before it.
+        history: (vertices, 3) each, what the rule of integration keeps of the states before; without, it begins anew.
     """
 
     positions: Tensor
     velocities: Tensor
     frame: int
-    last_move: Tensor | None = None
+    history: tuple[Tensor, ...] = ()
+
+    def double(self) -> State:
+        """This state in double precision."""
+        history = tuple(values.double() for values in self.history)
+        return State(self.positions.double(), self.velocities.double(), self.frame, history)

@@ -14,36 +14,36 @@ from pb4u.errors import InputError
 from pb4u.network.acceleration_model import GraphNetwork
 from pb4u.network.interaction_block import InteractionBlock
 from pb4u.scene.state import State
-from pb4u.simulation.step import StepMethod
+from pb4u.simulation.step import StepMethod, Taken
 from pb4u.simulation.step_graph import StepGraph
 from pb4u.simulation.timeline import Timeline
 
 
 @dataclass(frozen=True, eq=False)
-class _Taken:
+class _Pending:
     """A step that may still be computed, with what it began from.
 
     Args:
-        begun: state that it left.
+        begun: what it left.
         copies: positions and velocities of the state that it led to, and the room that it wanted, on the processor.
         names: of the searches that wanted room.
         done: recorded behind the copies; None where nothing has to be waited for.
     """
 
-    begun: State
+    begun: Taken
     copies: tuple[Tensor, ...]
     names: tuple[str, ...]
     done: torch.cuda.Event | None
 
     @staticmethod
-    def of(begun: State, state: State, names: tuple[str, ...], wanted: Tensor) -> _Taken:
+    def of(begun: Taken, state: State, names: tuple[str, ...], wanted: Tensor) -> _Pending:
         parts = (state.positions, state.velocities, wanted)
         copies = tuple(part.to("cpu", non_blocking=True) for part in parts)
         on_card = state.positions.device.type == "cuda"
         done = torch.cuda.Event() if on_card else None  # type: ignore[no-untyped-call]
         if done is not None:
             done.record()
-        return _Taken(begun, copies, names, done)
+        return _Pending(begun, copies, names, done)
 
     def had_room(self, rooms: Rooms) -> bool:
         """Whether the step had room for all that it found; makes more where it had not."""
@@ -53,7 +53,7 @@ class _Taken:
 
     @property
     def state(self) -> State:
-        return State(self.copies[0], self.copies[1], self.begun.frame + 1)
+        return State(self.copies[0], self.copies[1], self.begun.state.frame + 1)
 
 
 def bytes_a_vertex(network: GraphNetwork, body_faces: int, recorded: int | None = None) -> int:
@@ -93,9 +93,9 @@ def require_memory(what: str, vertices: int, each: int, device: torch.device) ->
 
 
 def states_after(
-    timeline: Timeline, method: StepMethod, state: State, frames: int, replays: bool | None = None
+    timeline: Timeline, method: StepMethod, taken: Taken, frames: int, replays: bool | None = None
 ) -> Iterator[State]:
-    """States after `state`, on the processor; nothing waits for a step but the copy of it.
+    """States after that of `taken`, on the processor; nothing waits for a step but the copy of it.
 
     What a step decides by what it finds is known with its copy, when the next has begun already: both are taken again
     where it had too little room.
@@ -103,24 +103,24 @@ def states_after(
     Args:
         timeline: garments and bodies on the accelerator.
         method: whose start, network and search take the steps.
-        state: on the accelerator.
-        frames: total number, of which `state` is one.
+        taken: the last frame that was made in a way of its own, on the accelerator.
+        frames: total number, of which that is one.
         replays: whether steps are replayed as CUDA graphs where their shapes stay; on a card by default.
     """
     rooms, waiting = timeline.colliders.rooms, None
     assert rooms is not None
     steps = StepGraph(timeline, method, timeline.garments.device.type == "cuda" if replays is None else replays)
     while True:
-        taken = None
-        if state.frame < frames - 1:
-            begun = state
-            state, names, wanted = steps.take(begun)
-            taken = _Taken.of(begun, state, names, wanted)
+        pending = None
+        if taken.state.frame < frames - 1:
+            begun = taken
+            taken, names, wanted = steps.take(begun)
+            pending = _Pending.of(begun, taken.state, names, wanted)
         if waiting is not None and not waiting.had_room(rooms):
-            state, waiting = waiting.begun, None
+            taken, waiting = waiting.begun, None
             continue
         if waiting is not None:
             yield waiting.state
-        if taken is None:
+        if pending is None:
             return
-        waiting = taken
+        waiting = pending

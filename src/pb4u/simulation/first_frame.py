@@ -15,7 +15,7 @@ from pb4u.physics.solver.newton_solver import Solver
 from pb4u.registry import Registry
 from pb4u.scene.state import State
 from pb4u.simulation.refinement import SolverRefinement, collision_free_move
-from pb4u.simulation.step import StepMethod, take
+from pb4u.simulation.step import StepMethod, Taken, take
 from pb4u.simulation.timeline import Timeline
 
 
@@ -23,7 +23,7 @@ class FirstFrame(ABC):
     """Rule that makes frame 0, and those after it that are made in a way of their own."""
 
     @abstractmethod
-    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[Taken]:
         """States of these frames; the garments set off from the last with the velocity that it has.
 
         Args:
@@ -31,7 +31,7 @@ class FirstFrame(ABC):
             method: takes the steps that follow.
         """
 
-    def start(self, timeline: Timeline, method: StepMethod) -> State:
+    def start(self, timeline: Timeline, method: StepMethod) -> Taken:
         """The last of `states`; arguments as there.
 
         Args:
@@ -65,8 +65,8 @@ def untangled(timeline: Timeline, method: StepMethod, state: State) -> State:
 class AsPlaced(FirstFrame):
     """The garments where their placement puts them, such as cloth about to fall; untangled where cloth feels cloth."""
 
-    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
-        yield untangled(timeline, method, timeline.skinned_state(0))
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[Taken]:
+        yield Taken(untangled(timeline, method, timeline.skinned_state(0)))
 
 
 class OneLongStep(FirstFrame):
@@ -75,16 +75,16 @@ class OneLongStep(FirstFrame):
     Before it the contact response is applied once, as the released code pushes garments out of the body.
     """
 
-    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
-        begun = AsPlaced().start(timeline, method)
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[Taken]:
+        begun = AsPlaced().start(timeline, method).state
         step = timeline.settling_from(begun)
         if method.contact is not None:
             pushed = collision_free_move(
                 method.self_contact, step, step.state, method.contact.respond(step, step.state)
             )
             step = timeline.settling_from(pushed)
-        taken = take(step, method)
-        yield replace(begun, positions=taken.positions, last_move=taken.last_move)
+        settled, last_move = take(step, method)
+        yield Taken(replace(begun, positions=settled.positions), last_move)
 
 
 @dataclass(frozen=True)
@@ -103,13 +103,13 @@ class Settled(FirstFrame):
     iterations: int = 12
     solver: Solver | None = None
 
-    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[Taken]:
         refinement = SolverRefinement(method.potential, self.iterations, self.solver)
         settling = StepMethod(refinement=refinement, contact=method.contact, potential=method.potential)
-        begun = state = AsPlaced().start(timeline, method)
+        begun = state = AsPlaced().start(timeline, method).state
         owner = timeline.garments.vertex_garment
         for _ in range(self.most_steps):
-            settled = take(timeline.settling_from(state), settling)
+            settled = take(timeline.settling_from(state), settling).state
             moves = (settled.positions - state.positions).square().sum(1)
             moved = max(
                 float(moves[owner == number].mean().sqrt()) for number in range(timeline.garments.garment_count)
@@ -117,7 +117,7 @@ class Settled(FirstFrame):
             state = replace(begun, positions=settled.positions)
             if moved <= self.still:
                 break
-        yield state
+        yield Taken(state)
 
 
 FIRST_FRAMES: Registry[FirstFrame] = Registry(

@@ -151,6 +151,7 @@ def simulator_of(run: Run) -> Simulator:
         InputError: an unknown model, a bad file or an impossible option.
     """
     from pb4u.physics.incremental_potential import IncrementalPotential
+    from pb4u.physics.integrator import INTEGRATORS
     from pb4u.physics.solver.implicit_steps import free_flight
     from pb4u.simulation.first_frame import FIRST_FRAMES
     from pb4u.simulation.penetration_response import ContactResponse
@@ -169,7 +170,12 @@ def simulator_of(run: Run) -> Simulator:
     # The solver improves a state more, and settles it better, than one long step of a network at the same cost.
     solves = (model in PARTS and not looks_at(model, "refine")) or run.refine > 0
     first = run.first_frame if run.first_frame != "auto" else "settled" if solves else "long_step"
-    common: dict[str, Any] = {"contact": contact, "first_frame": FIRST_FRAMES.named(first), "potential": potential}
+    common: dict[str, Any] = {
+        "contact": contact,
+        "first_frame": FIRST_FRAMES.named(first),
+        "potential": potential,
+        "integrator": INTEGRATORS[run.time_integration],
+    }
     if model == "skinning":
         return SkinningSimulator()
     if model == "solver":

@@ -135,8 +135,8 @@ class DescentFeature:
         return strain * torch.where(size > 1e-6, torch.log1p(size) / size.clamp_min(1e-6), 1.0)
 
     def _descent(self, step: TimeStep) -> JacobiDescent:
-        if self._made is None or self._made[0] is not step.garments or self._made[1] != step.dt:
-            self._made = step.garments, step.dt, JacobiDescent(step.garments, step.dt)
+        if self._made is None or self._made[0] is not step.garments or self._made[1] != step.inertial_dt:
+            self._made = step.garments, step.inertial_dt, JacobiDescent(step.garments, step.inertial_dt)
         return self._made[2]
 
 

@@ -99,7 +99,7 @@ class SolverRefinement:
         self._warm_start = BodyMotionWarmStart(potential)
 
     def refine(self, step: TimeStep, predicted: State) -> State:
-        """State of lower incremental potential; its velocity is the displacement over dt.
+        """State of lower incremental potential; its velocity is that of the move there.
 
         Args:
             step: the time step.
@@ -310,5 +310,5 @@ def _moved_to(positions: Tensor, wanted: State, step: TimeStep) -> State:
     """`wanted` at other positions, with the velocities that the difference takes away."""
     if positions is wanted.positions:
         return wanted
-    cut = (positions - wanted.positions) / step.dt
+    cut = (positions - wanted.positions) / step.inertial_dt
     return replace(wanted, positions=positions, velocities=wanted.velocities + cut)

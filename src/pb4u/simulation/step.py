@@ -6,8 +6,8 @@ Simulation takes all of it; training learns from its predictions and refines not
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -77,12 +77,26 @@ class StepMethod:
         return self.potential.self_contact
 
 
-def take(step: TimeStep, method: StepMethod) -> State:
-    """State at the end of a time step; nothing given is changed.
+class Taken(NamedTuple):
+    """Where a step led, and what its method remembers of it.
+
+    Args:
+        state: at the end of the step.
+        last_move: (vertices, 3) how far the last pass of the network went [m per step^2], which serves the search of
+            the next step; None where no pass was joined with the one before it.
+    """
+
+    state: State
+    last_move: Tensor | None = None
+
+
+def take(step: TimeStep, method: StepMethod, last_move: Tensor | None = None) -> Taken:
+    """State at the end of a time step, and the last move of the network in it; nothing given is changed.
 
     Args:
         step: that is taken.
         method: how it is taken.
+        last_move: what `take` gave with the state that the step starts from.
 
     Raises:
         DivergedError: it is not finite.
@@ -92,7 +106,7 @@ def take(step: TimeStep, method: StepMethod) -> State:
         if contact is not None:
             step = contact.with_pins_clear(step)
         # Where the garments would be: led there by the start of the step, corrected by every pass of the network.
-        *_, prediction = predictions(step, method)
+        *_, prediction = predictions(step, method, last_move)
         predicted = require_finite(prediction.state)
         if refinement is None:
             state = collision_free_move(cloth, step, step.state, predicted)
@@ -113,7 +127,7 @@ def take(step: TimeStep, method: StepMethod) -> State:
         )
         # Where one is through cloth already, no energy leads it back.
         after = kept if contact is None else contact.cleared(step, kept, cloth)
-        return replace(after, last_move=predicted.last_move)
+        return Taken(after, prediction.last_move)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,16 +136,20 @@ class Prediction:
 
     Args:
         state: at the end of the step; differentiable in the network's weights.
+        last_move: as in `Taken`.
         decrease: (worlds,) by how much the pass lowered the energy [J]; None where that is not measured.
         worth: (worlds,) bool where the pass was worth its time; None where one that is not is never made.
     """
 
     state: State
+    last_move: Tensor | None = None
     decrease: Tensor | None = None
     worth: Tensor | None = None
 
 
-def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) -> Iterator[Prediction]:
+def predictions(
+    step: TimeStep, method: StepMethod, last_move: Tensor | None = None, rooms: Rooms | None = None
+) -> Iterator[Prediction]:
     """Where the start of `step` leads, and each pass of the network after it.
 
     Only the latest pass is differentiable: training learns from each before the next. Ends early where a pass gave
@@ -140,13 +158,14 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
     Args:
         step: that is taken.
         method: gives the start and the network.
+        last_move: what `take` gave with the state that the step starts from.
         rooms: of a step that waits for no decision: passes that are not worth taking are computed, and left out.
     """
     # From free flight, or part of the way that the body moves: (vertices, 3) [m per step^2].
     accelerations = start_accelerations(method.start, step)
     # Velocities and positions from accelerations; pinned vertices take their places on the body.
-    yield Prediction(integrate(step, accelerations))
-    network, search, last, decrease = method.network, method.search, step.state.last_move, None
+    yield Prediction(integrate(step, accelerations), last_move)
+    network, search, decrease = method.network, method.search, None
     if network is None:
         return
     most = network.passes + network.further
@@ -164,15 +183,15 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
             return
         move = network.correction(step, reached)
         if search is not None:
-            move, decrease = search(step, reached, move, last)
-            before, last = last, move.detach()
+            move, decrease = search(step, reached, move, last_move)
+            before, last_move = last_move, move.detach()
             if worth and before is not None:
                 # Worlds in which it is not worth its time stay where they are, and keep their last move.
                 goes_on = worth[-1][step.garments.vertex_world, None]
-                move, last = torch.where(goes_on, move, 0.0), torch.where(goes_on, last, before)
+                move, last_move = torch.where(goes_on, move, 0.0), torch.where(goes_on, last_move, before)
         accelerations = reached + move
-        state = replace(integrate(step, accelerations), last_move=last)
-        yield Prediction(state, decrease, worth[-1] if worth and rooms is not None else None)
+        told = worth[-1] if worth and rooms is not None else None
+        yield Prediction(integrate(step, accelerations), last_move, decrease, told)
     if rooms is not None and network.further:
         rooms.note("passes", network.passes + torch.stack(worth).any(1).sum())
 

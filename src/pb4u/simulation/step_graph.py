@@ -12,7 +12,7 @@ from torch import Tensor
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.colliders import ColliderFrame
 from pb4u.scene.state import State
-from pb4u.simulation.step import StepMethod, predictions
+from pb4u.simulation.step import StepMethod, Taken, predictions
 from pb4u.simulation.timeline import Timeline
 
 Outputs = tuple[Tensor, ...]
@@ -55,6 +55,8 @@ class StepGraph:
 
     The second is captured as well, and the third compared: where its replay differs, all steps stay plain.
 
+    States have no history here.
+
     Args:
         timeline: garments and bodies on the accelerator.
         method: whose start, network and search take the steps.
@@ -66,20 +68,20 @@ class StepGraph:
         self._graphs: dict[tuple[Any, ...], _Graph] = {}
         self._pool = torch.cuda.graph_pool_handle() if replays and torch.cuda.is_available() else None
 
-    def take(self, begun: State) -> tuple[State, tuple[str, ...], Tensor]:
-        """State after `begun`, and the searches and the room that each wanted, as `Rooms.taken` gives them.
+    def take(self, begun: Taken) -> tuple[Taken, tuple[str, ...], Tensor]:
+        """What comes after `begun`, and the searches and the room that each wanted, as `Rooms.taken` gives them.
 
         Args:
-            begun: state at the start of the step.
+            begun: at the start of the step.
         """
         rooms, last = self.timeline.colliders.rooms, begun.last_move
         assert rooms is not None
-        self._step = self.timeline.step_from(begun)
+        self._step = self.timeline.step_from(begun.state)
         known = self._graphs.setdefault((last is None, *sorted(rooms.sizes.items())), _Graph())
         known.seen += 1
         replayed = self._replayed(known, last) if self.replays and known.seen > 1 else None
         if replayed is None or known.seen == 3:
-            plain = self._outputs(self._step)
+            plain = self._outputs(self._step, last)
             if replayed is not None and not all(
                 torch.allclose(one, other, rtol=0.0, atol=_SAME)
                 for one, other in zip(replayed[:2], plain, strict=False)
@@ -87,7 +89,7 @@ class StepGraph:
                 self.replays = False
             replayed = plain
         positions, velocities, wanted, *moves = replayed
-        return State(positions, velocities, begun.frame + 1, *moves), self._names, wanted
+        return Taken(State(positions, velocities, begun.state.frame + 1), *moves), self._names, wanted
 
     def _replayed(self, known: _Graph, last: Tensor | None) -> Outputs | None:
         """Outputs of a replay; None where the graph is captured only now, or cannot be."""
@@ -113,16 +115,15 @@ class StepGraph:
     def _computed(self, x: Tensor, v: Tensor, pins: Tensor, motion: Tensor, *more: Tensor) -> Outputs:
         """Outputs as a function of tensors alone."""
         bodies = ColliderFrame(*(self.timeline.colliders.pose(positions) for positions in more[:3]))
-        state = State(x, v, self._step.state.frame, *more[3:])
-        return self._outputs(
-            replace(self._step, state=state, collider=bodies, pin_positions=pins, skinned_motion=motion)
-        )
+        state = State(x, v, self._step.state.frame)
+        step = replace(self._step, state=state, collider=bodies, pin_positions=pins, skinned_motion=motion)
+        return self._outputs(step, *more[3:])
 
-    def _outputs(self, step: TimeStep) -> Outputs:
+    def _outputs(self, step: TimeStep, last_move: Tensor | None = None) -> Outputs:
         rooms = self.timeline.colliders.rooms
         assert rooms is not None
         with torch.no_grad():
-            *_, prediction = predictions(step, self.method, rooms)
+            *_, prediction = predictions(step, self.method, last_move, rooms)
         self._names, wanted = rooms.taken()
-        after = prediction.state
-        return (after.positions, after.velocities, wanted, *([] if after.last_move is None else [after.last_move]))
+        after, move = prediction.state, prediction.last_move
+        return (after.positions, after.velocities, wanted, *([] if move is None else [move]))

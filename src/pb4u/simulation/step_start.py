@@ -41,7 +41,7 @@ class BodyMotionWarmStart:
         if step.skinned_motion is None:
             return torch.zeros_like(free)
         garments, potential = step.garments, self.potential.of(step)
-        missing = step.skinned_motion - step.dt * step.state.velocities
+        missing = step.skinned_motion - step.free_move
         missing = torch.where(garments.pinned[:, None], 0.0, missing)
         shares = constant((0.0, *self.shares), missing.dtype, missing.device)
         # The body's tangent planes half way are exact enough to choose by, and queried once.

@@ -19,9 +19,11 @@ from pb4u.errors import InputError, InputWarning
 from pb4u.network.acceleration_model import require_propagation_steps
 from pb4u.network.graph.features import ADVANCE
 from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.integrator import IMPLICIT_EULER, Integrator
 from pb4u.physics.solver.implicit_steps import free_flight
 from pb4u.physics.solver.newton_solver import Solution
 from pb4u.physics.time_step import DivergedError, TimeStep, require_finite
+from pb4u.run import Run
 from pb4u.scene.colliders import ColliderPose
 from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.scene import Scene
@@ -34,7 +36,7 @@ from pb4u.simulation.pass_search import search_of
 from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.refinement import ImplicitSteps, SafeguardedRefinement
 from pb4u.simulation.simulator import RunRecord, Simulator
-from pb4u.simulation.step import StepMethod, take
+from pb4u.simulation.step import StepMethod, Taken, take
 from pb4u.simulation.step_start import BodyMotionWarmStart, start_of
 from pb4u.simulation.timeline import Timeline
 from pb4u.threads import prefetch
@@ -51,17 +53,22 @@ class StepwiseSimulator(Simulator):
         first_frame: makes frame 0; by default one long step of the method's own.
         potential: the energies, and whether cloth feels cloth. First frame, start of a step, gradient feature and
             search of a network, and the solver all descend it. The six terms by default.
+        integrator: of the steps.
     """
 
     refine: int = 0
     contact: ContactResponse | None = None
     first_frame: FirstFrame = field(default_factory=OneLongStep)
     potential: IncrementalPotential = field(default_factory=IncrementalPotential)
+    integrator: Integrator = IMPLICIT_EULER
 
     def settings(self) -> dict[str, Any]:
         return {
             "contact": self.contact is not None,
             "self_contact": self.potential.self_contact is not None,
+            "time_integration": self.integrator.name,
+            "friction_law": Run.friction_law,
+            "air": Run.air,
         }
 
     @abstractmethod
@@ -109,14 +116,15 @@ class StepwiseSimulator(Simulator):
             record.failed_at = made - scene.lead_in
 
     def _moved(self, timeline: Timeline, method: StepMethod, scene: Scene) -> Iterator[State]:
-        for state in self.first_frame.states(timeline, method):
-            yield state
+        for taken in self.first_frame.states(timeline, method):
+            yield taken.state
         if method.network is not None and method.refinement is not None:
             # The solver alone leads to the same drape in half of the time; the network takes over with the first frame.
-            for led in self.steps(timeline, replace(method, network=None), state, scene.led_frames):
-                state = led
-                yield state
-        yield from self.steps(timeline, method, state, scene.total_frames)
+            for led in self.steps(timeline, replace(method, network=None), taken, scene.led_frames):
+                taken = led
+                yield taken.state
+        for made in self.steps(timeline, method, taken, scene.total_frames):
+            yield made.state
 
     def timeline(self, *scenes: Scene) -> Timeline:
         """Frames of scenes, each in a world of its own, on the device that takes their steps.
@@ -131,20 +139,20 @@ class StepwiseSimulator(Simulator):
         """
         cloth = self.potential.self_contact
         touched = self.contact is not None or (cloth is not None and cloth.feels_bodies)
-        return Timeline.of_worlds(scenes, opens_folds=touched)
+        return Timeline.of_worlds(scenes, opens_folds=touched, integrator=self.integrator)
 
-    def steps(self, timeline: Timeline, method: StepMethod, state: State, frames: int) -> Iterator[State]:
-        """States after `state`, one a frame.
+    def steps(self, timeline: Timeline, method: StepMethod, taken: Taken, frames: int) -> Iterator[Taken]:
+        """States after that of `taken`, one a frame.
 
         Args:
             timeline: garments and bodies.
             method: takes the steps.
-            state: of the last frame that was made in a way of its own.
+            taken: the last frame that was made in a way of its own.
             frames: total number of frames.
         """
-        for _ in range(state.frame + 1, frames):
-            state = take(timeline.step_from(state), method)
-            yield state
+        for _ in range(taken.state.frame + 1, frames):
+            taken = take(timeline.step_from(taken.state), method, taken.last_move)
+            yield taken
 
 
 @dataclass(eq=False)
@@ -349,11 +357,8 @@ class NetworkSimulator(StepwiseSimulator):
         while rooms.grow(*rooms.taken()):
             # Searches were short of room.
             first = self.first_frame.start(timeline, method)
-        yield first
-        yield from self.steps(timeline, method, first, scene.total_frames)
-
-    def steps(self, timeline: Timeline, method: StepMethod, state: State, frames: int) -> Iterator[State]:
-        return (states_after if self.on_card else super().steps)(timeline, method, state, frames)
+        yield first.state
+        yield from states_after(timeline, method, first, scene.total_frames)
 
     @property
     def on_card(self) -> bool:
@@ -363,6 +368,7 @@ class NetworkSimulator(StepwiseSimulator):
             and not self.refine
             and self.contact is None
             and self.potential.self_contact is None
+            and self.integrator is IMPLICIT_EULER
             and isinstance(self.first_frame, (OneLongStep, AsPlaced))
         )
 

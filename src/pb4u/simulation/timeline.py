@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Protocol
 
 import torch
@@ -11,6 +10,7 @@ from torch import Tensor
 
 from pb4u.collision.rooms import Rooms
 from pb4u.environment import Environment
+from pb4u.physics.integrator import IMPLICIT_EULER, Integrator
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.colliders import ColliderFrame, ColliderPose, PackedColliders, pack_colliders
 from pb4u.scene.packed import PackedGarments, pack
@@ -78,6 +78,7 @@ class Timeline:
         skinned: (vertices, 3) [m] of the garments at every frame where skinning alone puts them.
         dt: time between frames [s].
         environment: gravity, air and ground.
+        integrator: of the steps.
     """
 
     def __init__(
@@ -88,8 +89,10 @@ class Timeline:
         skinned: Frames,
         dt: float,
         environment: Environment,
+        integrator: Integrator = IMPLICIT_EULER,
     ) -> None:
-        self.garments, self.colliders, self.dt, self.environment = garments, colliders, dt, environment
+        self.garments, self.colliders, self.dt = garments, colliders, dt
+        self.environment, self.integrator = environment, integrator
         self._body, self._skinned = body, skinned
         self._poses: dict[int, ColliderPose] = {}
 
@@ -111,6 +114,7 @@ class Timeline:
         device: torch.device | str = "cpu",
         *,
         opens_folds: bool = True,
+        integrator: Integrator = IMPLICIT_EULER,
     ) -> Timeline:
         """Timeline of scenes, each in a world of its own; in a shorter one the last frame stands for those beyond.
 
@@ -119,6 +123,7 @@ class Timeline:
             dtype: data type of positions and static quantities.
             device: device of the arrays.
             opens_folds: whether deep folds of the bodies are opened, as contact has them; else they are as posed.
+            integrator: of the steps.
         """
         worn = [(world, each) for world, scene in enumerate(scenes) for each in scene.garments]
         bodies = [(world, body) for world, scene in enumerate(scenes) for body in scene.colliders]
@@ -138,7 +143,7 @@ class Timeline:
 
         body = frames([(world, (SoftFolds(body) if opens_folds else body).positions) for world, body in bodies])
         skinned = frames([(world, each.placement.positions) for world, each in worn])
-        return Timeline(garments, colliders, body, skinned, scenes[0].dt, scenes[0].environment)
+        return Timeline(garments, colliders, body, skinned, scenes[0].dt, scenes[0].environment, integrator)
 
     def to(self, device: torch.device, rooms: Rooms) -> Timeline:
         """This timeline with all that a step reads on `device`.
@@ -158,7 +163,8 @@ class Timeline:
             return BlockedFrames(block, len(frames))
 
         garments, colliders = self.garments.to(device), self.colliders.to(device, rooms)
-        return Timeline(garments, colliders, moved(self._body), moved(self._skinned), self.dt, self.environment)
+        around = self.dt, self.environment, self.integrator
+        return Timeline(garments, colliders, moved(self._body), moved(self._skinned), *around)
 
     def skinned(self, frame: int) -> Tensor:
         """Garment vertices (vertices, 3) [m] at a frame where skinning alone puts them.
@@ -223,7 +229,7 @@ class Timeline:
         collider = ColliderFrame(self.pose(t - 1), self.pose(t), self.pose(t + 1))
         after = self.skinned(t + 1)
         motion = after - self.skinned(t)
-        return TimeStep(self.garments, state, collider, self.dt, self.environment, after, motion)
+        return TimeStep(self.garments, state, collider, self.dt, self.environment, after, motion, self.integrator)
 
     def settling_from(self, state: State) -> TimeStep:
         """Long time step from rest on the bodies standing still at the state's frame.
@@ -234,10 +240,11 @@ class Timeline:
         still, pins = self.pose(state.frame), self.skinned(state.frame)
         return TimeStep(
             self.garments,
-            replace(state, velocities=torch.zeros_like(state.velocities)),
+            State(state.positions, torch.zeros_like(state.velocities), state.frame),
             ColliderFrame(still, still, still),
             SETTLING_DT,
             self.environment,
             pins,
             torch.zeros_like(pins),
+            self.integrator,
         )

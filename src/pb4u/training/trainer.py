@@ -273,13 +273,14 @@ class Trainer:
         step, prepared = rollout.next_step(), rollout.prepared.with_steps(steps)
         passes, further = self.configuration.network.passes, self.configuration.network.further_passes
         network = NetworkPass(self.network, prepared, rollout.features, passes, nullcontext, further)
-        made = predictions(step, StepMethod(self.start, network, search=self.search), self.rooms)
+        method = StepMethod(self.start, network, search=self.search)
+        made = predictions(step, method, rollout.last_move, self.rooms)
         # The network has no part in the first, which the start alone leads to.
         latest = next(made)
         for latest in made:
             if not self.learn(prepared, step, latest, rollout.watch):
                 return False
-        after = latest.state
+        after, rollout.last_move = latest.state, latest.last_move
         state = replace(after, positions=after.positions.detach(), velocities=after.velocities.detach())
         rollout.state = self.with_initial_velocity(rollout, state) if rollout.settles else state
         rollout.settles, rollout.left = False, rollout.left - 1
@@ -308,7 +309,7 @@ class Trainer:
             # The released code counts the settling displacement as one of an ordinary step (reference 1.8).
             "carried": settled.velocities * (SETTLING_DT / timeline.dt),
         }
-        return replace(settled, velocities=velocities[self.configuration.after_settling], frame=frame)
+        return State(settled.positions, velocities[self.configuration.after_settling], frame)
 
     def learn(
         self,

@@ -170,16 +170,16 @@ class Validation:
         A processor ends where it is lost; an accelerator goes on, as it waits for no decision.
         """
         timeline, rooms, watch = window.timeline, self.loader.wardrobe.rooms, GarmentWatch()
-        garments, state = timeline.garments, window.start(0.0, self.clearance)
+        garments, state, last_move = timeline.garments, window.start(0.0, self.clearance), None
         method = _method(model, garments)
         for frame in range(window.length):
             step = timeline.step_from(state) if frame else timeline.settling_from(state)
-            *_, prediction = predictions(step, method, rooms)
-            after = prediction.state
+            *_, prediction = predictions(step, method, last_move, rooms)
+            after, last_move = prediction.state, prediction.last_move
             finite = torch.isfinite(after.positions)
             positions = torch.where(finite, after.positions, state.positions)
             velocities = after.velocities if frame else timeline.skinned_velocity(state.frame)
-            state = State(positions, velocities, after.frame if frame else state.frame, after.last_move)
+            state = State(positions, velocities, after.frame if frame else state.frame, after.history if frame else ())
             terms = step_energies(step, positions, REFERENCE_WEIGHT).terms
             energy = sum(term.sum().double() for name, term in terms.items() if name != "gravity")
             strain = strain_percentile(garments, positions)

@@ -187,6 +187,7 @@ class Rollout:
         watch: sees whether they are lost.
         settles: whether the next step is the settling one.
         left: steps to go.
+        last_move: what `take` would give with the state.
     """
 
     number: int
@@ -197,6 +198,7 @@ class Rollout:
     watch: GarmentWatch
     settles: bool
     left: int
+    last_move: Tensor | None = None
 
     def next_step(self) -> TimeStep:
         """All that is known before the next step of the window."""

@@ -14,7 +14,7 @@ class JacobiDescent:
 
     Args:
         garments: static quantities.
-        dt: length of the step [s].
+        dt: time [s] of inertia, that of an implicit Euler step.
     """
 
     def __init__(self, garments: PackedGarments, dt: float) -> None:

@@ -41,7 +41,7 @@ def free_flight(step: TimeStep) -> Tensor:
     Args:
         step: the time step.
     """
-    return step.with_pins(step.state.positions + step.dt * step.state.velocities)
+    return step.with_pins(step.state.positions + step.free_move)
 
 
 def implicit_steps(
@@ -85,5 +85,6 @@ def in_parts(step: TimeStep, count: int, solve: Callable[[TimeStep], Solution]) 
         solution = solve(part)
         state = part.reached(solution.positions)
         made, converged = made + solution.iterations, converged and solution.converged
-    solution = replace(solution, iterations=made, converged=converged)
-    return State(state.positions, state.velocities, step.state.frame + 1), solution
+    if count > 1:
+        state = State(state.positions, state.velocities, step.state.frame + 1)
+    return state, replace(solution, iterations=made, converged=converged)

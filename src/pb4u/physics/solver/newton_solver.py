@@ -223,7 +223,7 @@ class Solver:
         garments, stiffness = frozen.step.garments, frozen.stiffness(x, self._pattern)
         pairs = PairStiffness.summed(frozen.pair_stiffness(x), self._pattern.free)
         preconditioner.update(stiffness.matrix(), pairs)
-        mass = (garments.vertex_masses / frozen.step.dt**2).numpy()
+        mass = (garments.vertex_masses / frozen.step.inertial_dt**2).numpy()
         slope, spent, negative = gradient.numpy().copy(), 0, None
 
         def solve(forcing: float, start: np.ndarray | None = None) -> np.ndarray:

@@ -37,9 +37,10 @@ def _vertex(
 
 
 class Inertia(EnergyTerm):
-    """Sum over vertices of m |x' - (x + dt v)|^2 / (2 dt^2) [J].
+    """Sum over vertices of m |x' - (x + dt v)|^2 / (2 dt^2) [J], of implicit Euler.
 
-    m is the vertex mass [kg], x' the next position [m], x and v position and velocity before the step.
+    m is the vertex mass [kg], x' the next position [m], x and v position and velocity before the step. Another
+    integrator has another free move than dt v, and another time than dt.
     Source: the variational form of implicit Euler, as used by SNUG (Santesteban et al. 2022).
     """
 
@@ -48,14 +49,15 @@ class Inertia(EnergyTerm):
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         garments = step.garments
-        change = (x - step.state.positions) - step.dt * step.state.velocities
-        energy = garments.vertex_masses * dot(change, change) / (2.0 * step.dt**2)
+        change = (x - step.state.positions) - step.free_move
+        energy = garments.vertex_masses * dot(change, change) / (2.0 * step.inertial_dt**2)
         return sum_by_garment(energy, garments.vertex_garment, garments.garment_count)
 
     def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
         return each_vertex(step.garments)
 
     def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
-        kept = as_float64(step.state.positions) + step.dt * as_float64(step.state.velocities)
-        records = (vertex_record(step.garments, as_float64(step.garments.vertex_masses) / step.dt**2, kept),)
+        state, masses = step.state.double(), as_float64(step.garments.vertex_masses)
+        kept = as_float64(state.positions + step.integrator.free_move(state, step.dt))
+        records = (vertex_record(step.garments, masses / step.inertial_dt**2, kept),)
         return lambda _: records
