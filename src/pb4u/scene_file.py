@@ -88,7 +88,7 @@ def write_scene(run: Run, path: Path) -> None:
     # One by one: the library writes short tables of a list on a line each, where nobody finds room for an entry.
     sections = [
         tomli_w.dumps(scene),
-        *("[[garments]]\n" + tomli_w.dumps(each) for each in worn),
+        *map(_garment_section, worn),
         tomli_w.dumps({"run": _written(run, "run", path.parent)}),
     ]
     if changed := run.environment.changed:
@@ -96,6 +96,16 @@ def write_scene(run: Run, path: Path) -> None:
         around = {name: _NO_GROUND if value is None else value for name, value in changed.items()}
         sections.append(tomli_w.dumps({"environment": around}))
     replace_file(path, (_HEADING + "\n".join(sections)).encode())
+
+
+def _garment_section(written: Mapping[str, Any]) -> str:
+    """A `[[garments]]` and its entries, those by part in a table of their own."""
+    import tomli_w
+
+    of_parts = {name: value for name, value in written.items() if isinstance(value, Mapping)}
+    entries = {name: value for name, value in written.items() if name not in of_parts}
+    tables = tomli_w.dumps({"garments": of_parts}) if of_parts else ""
+    return "[[garments]]\n" + tomli_w.dumps(entries) + tables
 
 
 def require_format(tables: Mapping[str, Any], sections: Collection[str], version: int) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 FILES = {
     "cut.obj": "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n",
-    "scene.toml": "[run]\nframs = 3\n",
+    "scene.toml": "[scene]\nmotoin = 3\n",
 }
 SENTENCES = {
     "simulate --garment tshrt": "There is no garment 'tshrt'; did you mean tshirt or skirt? There are tshirt, tanktop, "
@@ -33,8 +33,7 @@ SENTENCES = {
     "simulate --out absent/a.npz": "The folder absent does not exist; make it first.",
     "simulate --out a.xyz": ".xyz is not a format that is written; end the name of the file in one of .npz, .obj, "
     ".pc2, .mdd, .abc, .usdc, .usda, .usdz, .glb, .png, .jpg, .gif, .mp4, .pkl.",
-    "simulate scene.toml": "scene.toml: [run] has no entry 'frams'; there are model, refine, contact, self_contact, "
-    "propagation_steps, passes, device, precision, first_frame.",
+    "simulate scene.toml": "scene.toml: [scene] has no entry 'motoin'; did you mean motion or raw_motion?",
     "simulate absent.toml": "There is no scene file absent.toml.",
     "batch absent.toml --out d": "There is no jobs file absent.toml.",
     "dress absent.toml --out a.npz": "There is no pattern absent.toml.",

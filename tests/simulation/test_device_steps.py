@@ -88,13 +88,14 @@ def take_torch_layers(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(f"pb4u.network.{user}.are_compiled", lambda *given: False)
 
 
-@pytest.mark.parametrize(("dtype", "near", "steps"), [(torch.float64, 1e-8, 20), (torch.float32, 1e-5, 20)])
+@pytest.mark.parametrize(("dtype", "near", "steps"), [(torch.float64, 1e-8, 18), (torch.float32, 1e-5, 20)])
 def test_both_ways_lead_to_the_same_states(
     monkeypatch: pytest.MonkeyPatch, dtype: torch.dtype, near: float, steps: int, in_tensors: None
 ) -> None:
     if dtype == torch.float32:
         # Cloth that buckles triples another rounding of the layers in each step.
         take_torch_layers(monkeypatch)
+    # From 1e-16 in the first step, rounding of sums in another order doubles or triples in each.
     model = from_pretrained("pb4u-wide").model.to(dtype)
     expected = on_host(model, steps)
     found = on_device(model, steps, Rooms())
