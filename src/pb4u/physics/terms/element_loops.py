@@ -98,10 +98,14 @@ def element_loops(law: Callable[..., float], corner_count: int) -> ElementLoops:
                     slot = slots[element, pair]
                     compressive[slot] += factors[pair]
                     # The matrix holds one block of two vertices, that of the lower one's row.
-                    turned = corners[element, first] > corners[element, second]
-                    for i in range(3):
-                        for j in range(3):
-                            positive[slot, i, j] += blocks[pair, j, i] if turned else blocks[pair, i, j]
+                    if corners[element, first] > corners[element, second]:
+                        for i in range(3):
+                            for j in range(3):
+                                positive[slot, j, i] += blocks[pair, i, j]
+                    else:
+                        for i in range(3):
+                            for j in range(3):
+                                positive[slot, i, j] += blocks[pair, i, j]
                     pair += 1
 
     return ElementLoops(add, add_stiffness)

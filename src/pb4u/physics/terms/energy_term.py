@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -126,7 +126,11 @@ class CompiledTerm(EnergyTerm):
 
     def __init__(self, term: EnergyTerm, loops: ElementLoops, step: TimeStep, contacts: ContactSet) -> None:
         self.term, self.name, self._loops = term, term.name, loops
-        self._records_at = term.records(step, contacts)
+        self._made_for = step, contacts
+
+    @cached_property
+    def _records_at(self) -> Callable[[ContactSet], Sequence[Record]]:
+        return self.term.records(*self._made_for)
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         if not x.requires_grad:
