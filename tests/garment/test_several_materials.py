@@ -34,6 +34,12 @@ def test_one_material_for_all_faces_is_that_material_alone() -> None:
         torch.testing.assert_close(getattr(other, name), getattr(one, name), rtol=1e-12, atol=0.0)
 
 
+def test_the_one_of_the_materials_needs_no_faces() -> None:
+    garment = replace(sheet(3, 3, material=SOFT), materials=(STIFF,))
+    assert garment.material == STIFF
+    assert set(garment.of_faces("density")) == {STIFF.density}
+
+
 def test_faces_hinges_and_vertices_have_their_share_of_each() -> None:
     garment, right = halves()
     assert garment.vertex_masses.sum() == pytest.approx(0.5 * (SOFT.density + STIFF.density), rel=1e-12)

@@ -98,7 +98,7 @@ class Garment:
         panels: names of the pattern's panels, where it was sewn of one: each is an island of `uv_faces`, in the order
             of their first UV points.
         materials: cloths of its parts; left out, `material` alone.
-        face_material: (faces,) int64 which of the `materials` each face is made of; None for the first.
+        face_material: (faces,) int64 which of the `materials` each face is made of; None where there is one at most.
 
     Raises:
         InputError: an array has another shape, or holds what cannot be used. Lists are taken for arrays.
@@ -151,6 +151,8 @@ class Garment:
             checked |= {"uvs": uvs, "uv_faces": uv_faces}
         for name, array in checked.items():
             object.__setattr__(self, name, array)
+        if len(self.materials) == 1 and self.face_material is None:
+            object.__setattr__(self, "face_material", np.zeros(len(self.faces), dtype=np.int64))
         if self.face_material is not None:
             places = checked_places(owner, "face_material", self.face_material, len(self.faces), len(self.materials))
             covered = np.bincount(places, weights=self.face_areas, minlength=len(self.materials))
@@ -223,7 +225,7 @@ class Garment:
         """Bending coefficients (hinges,) [J]: two materials bend in series, each as wide as its face."""
         hinge_faces = self.topology.hinge_faces
         bending, areas = self.of_faces("bending")[hinge_faces], self.face_areas[hinge_faces]
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             series = areas.sum(axis=1) / (areas / bending).sum(axis=1)
         return np.where(bending[:, 0] == bending[:, 1], bending[:, 0], series)
 

@@ -14,7 +14,7 @@ from pb4u.collision.jit import as_float64, compiled
 from pb4u.environment import STANDARD_GRAVITY, UP
 from pb4u.physics.contact.contact_set import ContactPlanes, ContactSet
 from pb4u.physics.terms.element_loops import SECOND, VALUE, Record, each_vertex, element_loops, vertex_record
-from pb4u.physics.terms.energy_term import EnergyTerm, Tangent, constant, sum_by_garment
+from pb4u.physics.terms.energy_term import EnergyTerm, Tangent, sum_by_garment
 from pb4u.physics.terms.stiffness_matrix import StiffnessPattern
 from pb4u.physics.time_step import TimeStep
 
@@ -91,7 +91,7 @@ class Collision(EnergyTerm):
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         weight = self._vertex_weight(step)
         energy = torch.zeros_like(x[:, 0])
-        for depth, _ in self._depths(step, contacts, x):
+        for depth in self._depths(step, contacts, x):
             energy = energy + weight * depth**3
         return sum_by_garment(energy, step.garments.vertex_garment, step.garments.garment_count)
 
@@ -105,7 +105,7 @@ class Collision(EnergyTerm):
             up = np.tile(UP, (len(weight), 1))
             ground = [vertex_record(garments, weight, self.clearance, step.environment.ground * up, up)]
 
-        @lru_cache(maxsize=2)  # those of a Newton step are asked for at every place that it tries
+        @lru_cache(maxsize=2)  # a Newton step compares several places with the same planes
         def record(planes: ContactPlanes) -> Record:
             points, normals = as_float64(planes.points), as_float64(planes.normals)
             return vertex_record(garments, weight * planes.touchable.numpy(), self.clearance, points, normals)
@@ -126,15 +126,14 @@ class Collision(EnergyTerm):
     def _vertex_weight(self, step: TimeStep) -> Tensor:
         return (self.weight / REFERENCE_AREA) * step.garments.vertex_areas
 
-    def _depths(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
-        """Depth below the clearance (vertices,) [m], at least 0, and normal, of the bodies and of the ground."""
+    def _depths(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Iterator[Tensor]:
+        """Depth below the clearance (vertices,) [m], at least 0, of the bodies and of the ground."""
         for planes in (contacts.next, contacts.opposite):
             if planes is not None:
                 depth = (self.clearance - planes.signed_distance(x)).clamp_min(0.0)
-                yield torch.where(planes.touchable, depth, 0.0), planes.normals
+                yield torch.where(planes.touchable, depth, 0.0)
         if step.environment.ground is not None:
-            up = constant(UP, x.dtype, x.device).expand_as(x)
-            yield (self.clearance - (x[:, 1] - step.environment.ground)).clamp_min(0.0), up
+            yield (self.clearance - (x[:, 1] - step.environment.ground)).clamp_min(0.0)
 
 
 def _tangent(x: np.ndarray, planes: np.ndarray, free: np.ndarray, bearing: np.ndarray, slots: np.ndarray) -> Tangent:

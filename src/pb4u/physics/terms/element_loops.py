@@ -14,7 +14,7 @@ from pb4u.physics.terms.stiffness_matrix import corner_pairs
 from pb4u.scene.packed import PackedGarments
 
 VALUE, GRADIENT, SECOND = 0, 1, 2
-"""How much an element is asked for: its energy, its gradient too, or its second derivative in the place of that."""
+"""What a law computes for an element: its energy, its gradient as well, or its second derivative in place of that."""
 
 
 class Record(NamedTuple):
@@ -48,11 +48,10 @@ class ElementLoops(NamedTuple):
 def element_loops(law: Callable[..., float], corner_count: int) -> ElementLoops:
     """Compile the loops of a term from what it computes for one element.
 
-    `law(x, corners, numbers, element, wanted, forces, blocks, factors)` returns the energy [J] of one element, its
-    numbers in that row. Where
-    GRADIENT is wanted it fills `forces` (corners, 3), dE/dx [N]; where SECOND is, `blocks` (corner pairs, 3, 3), the
-    positive part of the second derivative [N/m], and `factors` (corner pairs,) of the identity,
-    a negative part, where it has one.
+    `law(x, corners, numbers, element, wanted, forces, blocks, factors)` returns the energy [J] of one element, whose
+    numbers are the row `element`. Where GRADIENT is wanted it fills `forces` (corners, 3), dE/dx [N]; where SECOND is,
+    `blocks` (corner pairs, 3, 3), the positive part of the second derivative [N/m], and, where there is a negative
+    part, its multiples `factors` (corner pairs,) [N/m] of the identity.
 
     Args:
         law: of one element.
