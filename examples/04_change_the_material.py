@@ -27,8 +27,9 @@ def main() -> None:
     parser.add_argument("--out", default="cloth", help="beginning of the names of the files to write")
     options = parser.parse_args()
 
-    # SI units throughout: kg/m^2, pascals, joules, metres. This one is heavy, soft in its plane, and stiff to bend.
-    felt = pb4u.Material(density=0.5, lame_mu=15_000.0, lame_lambda=20_000.0, bending=5e-4, thickness=2e-3)
+    # SI units throughout: kg/m^2, pascals, joules, metres. This one is heavy, soft in its plane, stiff to bend, and
+    # alike in all directions.
+    felt = pb4u.Material.isotropic(density=0.5, lame_mu=15_000.0, lame_lambda=20_000.0, bending=5e-4, thickness=2e-3)
     cloths: dict[str, str | pb4u.Material] = {name: name for name in options.materials}
     cloths["felt"] = felt
 

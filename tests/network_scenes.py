@@ -16,7 +16,7 @@ from pb4u.scene.colliders import ColliderFrame, PackedColliders, pack_colliders
 from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.state import State
 
-COTTON = Material(density=0.20022, lame_mu=23600.0, lame_lambda=44400.0, bending=3.962e-5)
+COTTON = Material.isotropic(density=0.20022, lame_mu=23600.0, lame_lambda=44400.0, bending=3.962e-5)
 DT = 1.0 / 30.0
 
 

@@ -11,7 +11,7 @@ from pb4u.garment.material import Material
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.obj_file import write_obj
 
-CLOTH = Material(density=0.2, lame_mu=2e4, lame_lambda=3e4, bending=1e-5)
+CLOTH = Material.isotropic(density=0.2, lame_mu=2e4, lame_lambda=3e4, bending=1e-5)
 
 
 def tube_arrays(

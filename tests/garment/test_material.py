@@ -1,14 +1,16 @@
 import json
+from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pb4u.errors import InputError
-from pb4u.garment.material import MATERIALS, Material, load_material, material_names
+from pb4u.garment.material import MATERIALS, DirectionalBending, Material, load_material, material_names
 
 
 def test_the_default_is_the_evaluation_material() -> None:
-    assert load_material("default") == Material(0.20022, 23600.0, 44400.0, 3.962e-5, 4.7e-4)
+    assert load_material("default") == Material.isotropic(0.20022, 23600.0, 44400.0, 3.962e-5, 4.7e-4)
 
 
 def test_named_materials_lie_in_the_training_ranges() -> None:
@@ -40,7 +42,82 @@ def test_a_knit_stretches_twice_as_far_as_what_is_woven_and_bends_easily() -> No
 def test_a_material_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "felt.json"
     path.write_text(json.dumps({"density": 0.3, "lame_mu": 2e4, "lame_lambda": 3e4, "bending": 1e-4}))
-    assert load_material(path) == Material(0.3, 2e4, 3e4, 1e-4)
+    assert load_material(path) == Material.isotropic(0.3, 2e4, 3e4, 1e-4)
+
+
+TWILL = {
+    "density": 0.25,
+    "warp_stiffness": 3000,
+    "weft_stiffness": 1200.0,
+    "coupling_stiffness": 90.0,
+    "shear_stiffness": 40.0,
+    "bending_stiffness": {"warp": 2.4e-5, "weft": 1.1e-5, "bias": 1.2e-5},
+    "source": "a mill",
+}
+
+
+def test_an_orthotropic_material_file_is_read_and_written_again(tmp_path: Path) -> None:
+    path = tmp_path / "twill.json"
+    path.write_text(json.dumps(TWILL))
+    twill = load_material(path)
+    assert twill.membrane == (1200.0, 3000.0, 90.0, 40.0)
+    assert twill.bending_stiffness == DirectionalBending(2.4e-5, 1.1e-5, 1.2e-5)
+    path.write_text(json.dumps(asdict(twill)))
+    assert load_material(path) == twill
+    path.write_text(json.dumps({**TWILL, "bending_stiffness": 2e-5, "stiffening_strain": 0.02, "damping_time": 1e-3}))
+    plain = load_material(path)
+    assert (plain.bending_stiffness, plain.stiffening_strain, plain.damping_time) == (2e-5, 0.02, 1e-3)
+
+
+def test_the_isotropic_cloth_that_is_nearest_to_an_isotropic_one_is_itself() -> None:
+    numbers = {"density": 0.3, "lame_mu": 2e4, "lame_lambda": 3e4, "bending": 1e-4, "thickness": 1e-3}
+    assert Material.isotropic(**numbers).five_numbers == pytest.approx(numbers, rel=1e-12)
+
+
+def test_the_nearest_isotropic_cloth_stores_as_much_energy_in_the_mean_over_directions() -> None:
+    twill = Material.of(TWILL)
+    c11, c22, c12, c33 = twill.membrane
+    mu, lam = twill.lame_mu * twill.thickness, twill.lame_lambda * twill.thickness
+    turns = np.linspace(0.0, np.pi, 2000, endpoint=False)
+    for stretch in ((1.0, 0.0, 0.0), (1.0, -0.4, 0.3)):
+        g11, g22, g12 = strains_turned(*stretch, turns)
+        mean = (0.5 * (c11 * g11**2 + c22 * g22**2) + c12 * g11 * g22 + 2.0 * c33 * g12**2).mean()
+        g11, g22, g12 = stretch
+        same = mu * (g11**2 + g22**2 + 2.0 * g12**2) + 0.5 * lam * (g11 + g22) ** 2
+        assert mean == pytest.approx(same, rel=1e-12)
+
+
+def strains_turned(g11: float, g22: float, g12: float, turns: np.ndarray) -> tuple[np.ndarray, ...]:
+    c, s = np.cos(turns), np.sin(turns)
+    along = g11 * c * c + g22 * s * s + 2.0 * g12 * c * s
+    across = g11 * s * s + g22 * c * c - 2.0 * g12 * c * s
+    return along, across, (g22 - g11) * c * s + g12 * (c * c - s * s)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"warp_stiffness": 0.0}, "warp_stiffness must be positive"),
+        ({"weft_stiffness": 5e8}, "weft_stiffness must be at most 1e\\+07 N/m, not 5e\\+08"),
+        ({"density": 2000.0}, "density must be at most 100 kg/m"),
+        ({"coupling_stiffness": -1900.0}, "coupling_stiffness must be smaller than 1897 N/m"),
+        ({"coupling_stiffness": float("nan")}, "coupling_stiffness must be finite"),
+        ({"shear_stiffness": 1300.0}, "shear_stiffness must be at most 1200 N/m"),
+        ({"bending_stiffness": -1e-6}, "bending_stiffness must be zero or positive"),
+        ({"bending_stiffness": {"warp": 1.0}}, "bending_stiffness must be one number or hold warp, weft, bias"),
+        ({"bending_stiffness": {"warp": 1e-5, "weft": -1e-5, "bias": 0.0}}, "bending_stiffness.weft must be zero"),
+        ({"bending_stiffness": {"warp": 1e-5, "weft": "x", "bias": 0.0}}, '"bending_stiffness.weft" must be a number'),
+        ({"stiffening_strain": -0.1}, "stiffening_strain must be zero"),
+        ({"damping_time": float("inf")}, "damping_time must be zero or positive and finite"),
+        ({"source": 3}, '"source" must be text'),
+        ({"lame_mu": 2e4}, "unknown entries"),
+    ],
+)
+def test_an_orthotropic_material_that_is_no_cloth_is_refused(tmp_path: Path, changed: dict, message: str) -> None:
+    path = tmp_path / "odd.json"
+    path.write_text(json.dumps({**TWILL, **changed}))
+    with pytest.raises(InputError, match=message):
+        load_material(path)
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,8 @@ from pb4u.scene.packed import pack
 from pb4u.scene.scene import DressedGarment
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 
-SOFT = Material(density=0.1, lame_mu=2e4, lame_lambda=3e4, bending=1e-5, friction=0.2)
-STIFF = Material(density=0.4, lame_mu=6e4, lame_lambda=9e4, bending=3e-5, friction=0.8)
+SOFT = Material.isotropic(density=0.1, lame_mu=2e4, lame_lambda=3e4, bending=1e-5, friction=0.2)
+STIFF = Material.isotropic(density=0.4, lame_mu=6e4, lame_lambda=9e4, bending=3e-5, friction=0.8)
 
 
 def halves(columns=4, rows=4):
@@ -69,7 +69,7 @@ def test_the_material_that_covers_most_stands_for_the_garment() -> None:
 def test_a_hinge_without_bending_makes_its_seam_free() -> None:
     garment = sheet(4, 4, material=SOFT)
     right = garment.vertices[garment.faces][:, :, 0].mean(axis=1) > 0.5
-    limp = garment.with_part(replace(STIFF, bending=0.0), right)
+    limp = garment.with_part(replace(STIFF, bending_stiffness=0.0), right)
     sides = right[garment.topology.hinge_faces].any(axis=1)
     assert (limp.hinge_bending[sides] == 0.0).all()
     assert (limp.hinge_bending[~sides] == SOFT.bending).all()

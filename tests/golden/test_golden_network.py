@@ -56,7 +56,7 @@ def grid(rows: int, columns: int, edge: float, height: float) -> tuple[np.ndarra
 
 
 def results(configuration: Pb4uConfiguration) -> dict[str, Any]:
-    material = Material(density=0.2, lame_mu=23600.0, lame_lambda=44400.0, bending=3.962e-5)
+    material = Material.isotropic(density=0.2, lame_mu=23600.0, lame_lambda=44400.0, bending=3.962e-5)
     fine, coarse = (Garment("sheet", *grid(*size, height=1.0), material) for size in ((5, 4, 0.04), (4, 3, 0.06)))
     coarse = coarse.with_pins(np.arange(12) < 3)
     packed = pack([fine, coarse])

@@ -14,7 +14,7 @@ from pb4u.garment.material import Material
 from pb4u.measures.metrics import ENERGIES, first_diverged, measure, visible_skin
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 
-MATERIAL = Material(density=0.2, lame_mu=23600.0, lame_lambda=44400.0, bending=4e-5)
+MATERIAL = Material.isotropic(density=0.2, lame_mu=23600.0, lame_lambda=44400.0, bending=4e-5)
 
 
 def trajectory_of(positions: np.ndarray, velocity: float = 0.0, *parts: trimesh.Trimesh) -> Trajectory:
@@ -125,7 +125,7 @@ def test_open_body_reports_no_penetration() -> None:
     assert "penetration_percent" not in measure(replace(trajectory, header=opened))["metrics"]
 
 
-HEAVY = Material(density=0.5, lame_mu=40000.0, lame_lambda=50000.0, bending=2e-4, thickness=1e-3)
+HEAVY = Material.isotropic(density=0.5, lame_mu=40000.0, lame_lambda=50000.0, bending=2e-4, thickness=1e-3)
 
 
 def two_garments(outer: np.ndarray, inner: np.ndarray) -> tuple[Trajectory, list[Trajectory]]:

@@ -10,6 +10,7 @@ from tests.network_scenes import COTTON, DT, Moment, moment, placed, sheet
 
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
+from pb4u.garment.material import Material
 from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.network.graph.builder import GraphBuilder
 from pb4u.network.graph.features import (
@@ -89,7 +90,7 @@ def test_materials_run_from_0_to_1_over_the_training_range(position):
     name = ("bending", "lame_mu", "lame_lambda")[position]
     limits = getattr(FeatureLayout().material_range, name)
     for value, expected in ((limits[0], 0.0), (limits[1], 1.0)):
-        at = moment([sheet(5, 5, material=replace(COTTON, **{name: value}))])
+        at = moment([sheet(5, 5, material=Material.isotropic(**COTTON.five_numbers | {name: value}))])
         layout = FeatureLayout()
         for features, made in (
             (built(at).nodes["garment"].features, layout.columns("node")),
@@ -100,7 +101,7 @@ def test_materials_run_from_0_to_1_over_the_training_range(position):
 
 
 def test_a_material_of_no_bending_at_all_still_gives_finite_features():
-    graph = built(moment([sheet(5, 5, material=replace(COTTON, bending=0.0, lame_lambda=0.0))]))
+    graph = built(moment([sheet(5, 5, material=Material.isotropic(0.2, 23600.0, 0.0, 0.0))]))
     assert bool(torch.isfinite(graph.nodes["garment"].features).all())
 
 

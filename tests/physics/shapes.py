@@ -21,7 +21,7 @@ from pb4u.scene.state import State
 
 DT = 1.0 / 30.0
 
-EVALUATION = Material(density=0.20022, lame_mu=23600.0, lame_lambda=44400.0, bending=3.962e-5)
+EVALUATION = Material.isotropic(density=0.20022, lame_mu=23600.0, lame_lambda=44400.0, bending=3.962e-5)
 
 
 def sheet(columns: int, rows: int, width: float = 1.0, height: float = 1.0, material: Material = EVALUATION) -> Garment:

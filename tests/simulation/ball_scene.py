@@ -13,7 +13,7 @@ from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.scene.scene import DressedGarment, Scene
 
-MATERIAL = Material(density=0.2, lame_mu=23600.0, lame_lambda=44400.0, bending=4e-5)
+MATERIAL = Material.isotropic(density=0.2, lame_mu=23600.0, lame_lambda=44400.0, bending=4e-5)
 
 
 class Ball(AnimatedBody):

@@ -57,7 +57,7 @@ class GoldenScene:
             file.stem,
             self.data["scene/rest_pos"].astype(np.float64),
             self.data["scene/faces"].astype(np.int64),
-            Material(density, mu, lam, bending),
+            Material.isotropic(density, mu, lam, bending),
             self.data["scene/node_type"].reshape(-1) == 3,
             **({"coarse_edges": coarse} if coarse else {}),
         )

@@ -137,7 +137,7 @@ def test_a_file_that_is_absent_or_no_text_is_refused(tmp_path: Path) -> None:
 
 
 def test_loaded_objects_cannot_be_written(tmp_path: Path) -> None:
-    cloth = Material(0.2, 2e4, 4e4, 3e-5)
+    cloth = Material.isotropic(0.2, 2e4, 4e4, 3e-5)
     for scene, says in (
         (Run(body=load_body("woman")), "The body woman is a loaded object"),
         (Run(motion=load_motion("dance")), "The motion dance is a loaded object"),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, get_args, get_origin
 
 from pb4u.dataset.dataset_folder import INDEX, DatasetFolder
 from pb4u.errors import extra
-from pb4u.garment.material import Material
+from pb4u.garment.material import ISOTROPIC
 from pb4u.measures.metrics import ENERGIES, OF_A_CLIP, STRAINS
 from pb4u.measures.run_job import RunJob, entry_of
 from pb4u.options import described
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     import pyarrow
 
 _MEASURED = ("mean", "max", "per_frame")
-_PROPERTIES = tuple(Material.__dataclass_fields__)
 
 
 def require_parquet() -> None:
@@ -120,7 +119,7 @@ def _schema() -> pyarrow.Schema:
         "name": text,
         "vertices": whole,
         "triangles": whole,
-        **dict.fromkeys(_PROPERTIES, number),
+        **dict.fromkeys(ISOTROPIC, number),
         "diverged": switch,
         "diverged_at": whole,
         **measured((*ENERGIES, *STRAINS)),

@@ -194,16 +194,11 @@ def _garment(header: TrajectoryHeader, entry: dict[str, Any]) -> Garment:
         if any(triangles.start <= first < triangles.stop for first, _ in listed["faces"]):
             for first, stop in listed["faces"]:
                 places[first:stop] = len(materials)
-            materials.append(_material(listed))
+            materials.append(Material.of(listed))
     garment = Garment(
-        str(entry["name"]), rest, faces, _material(entry["material"]), header.pinned[vertices], rest_uv=flat
+        str(entry["name"]), rest, faces, Material.of(entry["material"]), header.pinned[vertices], rest_uv=flat
     )
     return replace(garment, materials=tuple(materials), face_material=places[triangles]) if materials else garment
-
-
-def _material(entry: dict[str, Any]) -> Material:
-    known = Material.__dataclass_fields__
-    return Material(**{key: float(value) for key, value in entry.items() if key in known})
 
 
 def visible_skin(

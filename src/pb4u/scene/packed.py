@@ -22,6 +22,7 @@ from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.environment import STANDARD_GRAVITY
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
+from pb4u.garment.material import nearest_isotropic
 from pb4u.geometry.topology import joined_indices, offsets
 from pb4u.threads import to_device
 
@@ -36,7 +37,7 @@ class PackedGarments:
         inverse_rest_shape: (faces, 2, 2) [1/m] inverse of the rest triangle's edge matrix, along the grain
             where the garment has one.
         face_areas: (faces,) rest areas [m^2].
-        membrane: (faces, 4) moduli c11, c22, c12 and c33 [N/m] along the axes of the rest shape.
+        membrane: (faces, 4) moduli c11 (weft), c22 (warp), c12 and c33 [N/m] along the axes of the rest shape.
         thickness: (faces,) [m].
         edges: (edges, 2) int64.
         edge_lengths: (edges,) rest lengths [m].
@@ -84,12 +85,12 @@ class PackedGarments:
     @property
     def lame_mu(self) -> Tensor:
         """Second Lame parameter (faces,) [Pa] of the isotropic cloth that is nearest: what networks read."""
-        return self.membrane[:, 3] / self.thickness
+        return nearest_isotropic(*self.membrane.unbind(1))[0] / self.thickness
 
     @property
     def lame_lambda(self) -> Tensor:
         """First Lame parameter (faces,) [Pa] of the isotropic cloth that is nearest: what networks read."""
-        return self.membrane[:, 2] / self.thickness
+        return nearest_isotropic(*self.membrane.unbind(1))[1].clamp_min(0.0) / self.thickness
 
     @property
     def world_count(self) -> int:

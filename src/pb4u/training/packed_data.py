@@ -236,7 +236,7 @@ def _outfits(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Iterator[
             record["name"],
             arrays[f"outfit{i}.vertices"],
             arrays[f"outfit{i}.faces"].astype(np.int64),
-            Material(**record["material"]),
+            Material.of(record["material"]),
             arrays[f"outfit{i}.pinned"],
             loose=record["loose"],
             coarse_edges=tuple(arrays[f"outfit{i}.coarse{n}"] for n in range(record.get("coarse_levels", 0))),

@@ -128,7 +128,7 @@ def drawn_material(ranges: MaterialSampling, rng: np.random.Generator) -> Materi
     def logarithmic(low: float, high: float) -> float:
         return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
-    return Material(
+    return Material.isotropic(
         density=float(rng.uniform(*ranges.density)),
         lame_mu=logarithmic(*ranges.lame_mu),
         lame_lambda=float(rng.uniform(*ranges.lame_lambda)),
