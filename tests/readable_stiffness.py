@@ -36,20 +36,29 @@ def stretch(frozen: StepPotential, x: Tensor) -> tuple[Tensor, Tensor]:
     shape = torch.cat([-of_bc.sum(1, keepdim=True), of_bc], dim=1)
     f = torch.einsum("fck,fca->fka", shape, x[garments.faces])
     green = 0.5 * (torch.einsum("fka,fla->fkl", f, f) - torch.eye(2, dtype=x.dtype))
-    _, _, c12, c33 = garments.membrane.unbind(1)
-    mu, lam = ((garments.face_areas * modulus)[:, None, None] for modulus in (c33, c12))
-    trace = green.diagonal(dim1=1, dim2=2).sum(1)[:, None, None]
-    stress = 2.0 * mu * green + lam * trace * torch.eye(2, dtype=x.dtype)
+    moduli = x.new_zeros((len(green), 2, 2, 2, 2))
+    for which, places in (
+        (0, ["0000"]),
+        (1, ["1111"]),
+        (2, ["0011", "1100"]),
+        (3, ["0101", "0110", "1001", "1010"]),
+    ):
+        for place in places:
+            moduli[(slice(None), *map(int, place))] = garments.face_areas * garments.membrane[:, which]
+    stress = torch.einsum("fkplq,flq->fkp", moduli, green)
+    for axis in (0, 1):
+        # By autograd, twice: what a thread beyond its limit adds to its stress and to its modulus.
+        strain = green[:, axis, axis].clone().requires_grad_(True)
+        beyond = ((2.0 * strain + 1.0).sqrt() - 1.0 - garments.stiffening[:, 0]).clamp_min(0.0)
+        energy = garments.face_areas * garments.stiffening[:, 1] * beyond**3 / 6.0
+        (first,) = torch.autograd.grad(energy.sum(), strain, create_graph=True)
+        (second,) = torch.autograd.grad(first.sum(), strain)
+        stress[:, axis, axis] += first.detach()
+        moduli[:, axis, axis, axis, axis] += second
     values, vectors = torch.linalg.eigh(stress)
     tensile = torch.einsum("fkp,fp,flp->fkl", vectors, values.clamp_min(0.0), vectors)
-    mu, lam = mu[..., None, None], lam[..., None, None]
-    axes, columns = torch.eye(3, dtype=x.dtype), torch.eye(2, dtype=x.dtype)
-    of_columns = (
-        torch.einsum("fkl,ab->fklab", tensile, axes)
-        + lam * torch.einsum("fka,flb->fklab", f, f)
-        + mu * torch.einsum("fla,fkb->fklab", f, f)
-        + mu * torch.einsum("kl,fma,fmb->fklab", columns, f, f)
-    )
+    axes = torch.eye(3, dtype=x.dtype)
+    of_columns = torch.einsum("fkl,ab->fklab", tensile, axes) + torch.einsum("fkplq,fpa,fqb->fklab", moduli, f, f)
     compressive = torch.einsum("fkl,ab->fklab", stress - tensile, axes)
     parts = (torch.einsum("fik,fjl,fklab->fiajb", shape, shape, part) for part in (of_columns, compressive))
     positive, negative = (assembled(part, garments.faces, len(x)) for part in parts)

@@ -11,7 +11,7 @@ from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skinning import SkinningWeights, strongest_influences
 from pb4u.errors import InputError
-from pb4u.garment.material import Material
+from pb4u.garment.material import DirectionalBending, Material
 from pb4u.geometry.appearance import Appearance, Appearances
 from pb4u.geometry.mesh_arrays import as_numbers, checked_faces, checked_places, checked_vertices
 from pb4u.geometry.mesh_file import PolygonMesh
@@ -174,8 +174,23 @@ class Garment:
 
     @cached_property
     def rest_shape(self) -> np.ndarray:
-        """Corners (faces, 3, 2) [m] of the faces at rest, flat: in the panels' axes where it was cut flat."""
-        return laid_flat(self.vertices[self.faces]) if self.rest_uv is None else self.rest_uv
+        """Corners (faces, 3, 2) [m] of the faces at rest, flat: in the panels' axes where it was cut flat.
+
+        Elsewhere a cloth with a grain is cut so that its warp, the second axis, runs upwards as worn.
+        """
+        if self.rest_uv is not None:
+            return self.rest_uv
+        corners = self.vertices[self.faces]
+        flat = laid_flat(corners)
+        if not any(material.has_grain for material in self.materials or (self.material,)):
+            return flat
+        # Faces that lie level have their warp backwards.
+        along, across = ((corners[:, k] - corners[:, 0]) @ np.array([0.0, 1.0, -1e-6]) for k in (1, 2))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x = along / flat[:, 1, 0]
+            y = (across - flat[:, 2, 0] * x) / flat[:, 2, 1]
+            turns = np.stack([y, x, -x, y], axis=1).reshape(-1, 2, 2) / np.hypot(x, y)[:, None, None]
+        return flat @ turns
 
     @cached_property
     def face_areas(self) -> np.ndarray:
@@ -224,10 +239,24 @@ class Garment:
     def hinge_bending(self) -> np.ndarray:
         """Bending coefficients (hinges,) [J]: two materials bend in series, each as wide as its face."""
         hinge_faces = self.topology.hinge_faces
-        bending, areas = self.of_faces("bending")[hinge_faces], self.face_areas[hinge_faces]
+        bending, areas = self._side_bending(hinge_faces), self.face_areas[hinge_faces]
         with np.errstate(divide="ignore", invalid="ignore"):
             series = areas.sum(axis=1) / (areas / bending).sum(axis=1)
         return np.where(bending[:, 0] == bending[:, 1], bending[:, 0], series)
+
+    def _side_bending(self, hinge_faces: np.ndarray) -> np.ndarray:
+        """Bending coefficients (hinges, 2) [J] of both sides, each by the edge's direction in its own panel."""
+        materials = self.materials or (self.material,)
+        if not any(isinstance(material.bending_stiffness, DirectionalBending) for material in materials):
+            return self.of_faces("bending")[hinge_faces]
+        ends = self.topology.hinges[:, None, :2, None] == self.faces[hinge_faces][:, :, None]
+        corners = np.take_along_axis(self.rest_shape[hinge_faces], ends.argmax(axis=3)[..., None], axis=2)
+        edges = corners[:, :, 1] - corners[:, :, 0]
+        along_weft = edges[..., 0] ** 2 / (edges**2).sum(axis=2)
+        if self.face_material is None:
+            return self.material.hinge_coefficients(along_weft)
+        made_of = self.face_material[hinge_faces]
+        return np.choose(made_of, [material.hinge_coefficients(along_weft) for material in materials])
 
     @cached_property
     def vertex_masses(self) -> np.ndarray:

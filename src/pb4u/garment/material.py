@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pb4u.errors import InputError, unknown_name
 from pb4u.io.reading_limits import read_json, refusing
 
@@ -33,6 +35,23 @@ class DirectionalBending:
         """Mean over all directions [N m], that of the isotropic cloth that is nearest."""
         return 0.25 * (self.warp + self.weft + 2.0 * self.bias)
 
+    def hinge_coefficients(self, along_weft: np.ndarray) -> np.ndarray:
+        """Coefficients (...,) [J] of hinges, four times the bending stiffness of the plate that they make up.
+
+        A strip bends with mean + (warp - weft) / 2 cos 2a + (mean - bias) cos 4a, a its angle from the warp. A hinge
+        is bent by strips of other directions too, so that hinges of all directions together smooth the second term by
+        2/3 and the third by 1/3: these are enlarged by as much, and a hinge is never softer than a quarter of the
+        softest strip.
+
+        Args:
+            along_weft: (...,) square of the share of the edge's direction that is along the weft [1].
+        """
+        # The normal of the edge is along the warp where the edge is along the weft.
+        double = 2.0 * along_weft - 1.0
+        second, fourth = 1.5 * 0.5 * (self.warp - self.weft), 3.0 * (self.mean - self.bias)
+        stiffness = self.mean + second * double + fourth * (2.0 * double**2 - 1.0)
+        return 4.0 * np.maximum(stiffness, 0.25 * min(self.warp, self.weft, self.bias))
+
 
 @dataclass(frozen=True)
 class Material:
@@ -58,8 +77,8 @@ class Material:
         source: where its numbers come from.
 
     Raises:
-        InputError: a number is out of its range, or the membrane would give way to some stretch or shears harder than
-            it stretches.
+        InputError: a number is out of its range, or the membrane would give way to some stretch, or shears harder than
+            it stretches along any thread.
     """
 
     density: float
@@ -91,9 +110,9 @@ class Material:
                 f"Material coupling_stiffness must be smaller than {(warp * weft) ** 0.5:.4g} N/m, the geometric mean "
                 f"of warp and weft, not {coupling:g}: the cloth would stretch of itself."
             )
-        if shear > min(warp, weft):
+        if shear > max(warp, weft):
             raise InputError(
-                f"Material shear_stiffness must be at most {min(warp, weft):g} N/m, the stiffness of its softer "
+                f"Material shear_stiffness must be at most {max(warp, weft):g} N/m, the stiffness of its stiffer "
                 f"threads, not {shear:g}."
             )
 
@@ -180,6 +199,30 @@ class Material:
         """Coefficient of a hinge [J] of the isotropic cloth that is nearest: four times its bending stiffness."""
         own = self.bending_stiffness
         return 4.0 * (own.mean if isinstance(own, DirectionalBending) else own)
+
+    @property
+    def has_grain(self) -> bool:
+        """Whether it matters which way it is cut."""
+        c11, c22, c12, c33 = self.membrane
+        mu = nearest_isotropic(c11, c22, c12, c33)[0]
+        isotropic = np.allclose([c11, c22, c33], [c12 + 2.0 * mu, c12 + 2.0 * mu, mu], rtol=1e-9, atol=0.0)
+        return not isotropic or isinstance(self.bending_stiffness, DirectionalBending)
+
+    @property
+    def stiffening(self) -> tuple[float, float]:
+        """Stretch of a thread beyond which it stiffens [1], and by how much for each unit of stretch [N/m]."""
+        return self.stiffening_strain, self.stiffening_stiffness
+
+    def hinge_coefficients(self, along_weft: np.ndarray) -> np.ndarray:
+        """Bending coefficients (...,) [J] of hinges between two faces of this cloth.
+
+        Args:
+            along_weft: (...,) square of the share of the edge's direction that is along the weft [1].
+        """
+        own = self.bending_stiffness
+        if isinstance(own, DirectionalBending):
+            return own.hinge_coefficients(along_weft)
+        return np.full(np.shape(along_weft), 4.0 * own)
 
     @property
     def five_numbers(self) -> dict[str, float]:

@@ -165,7 +165,7 @@ class Sewing:
         closing = self.smooth.without_self_contact() if crosses else self.smooth
         thin = self.pose(share, 0.0)
         for softness in _SOFTNESS:
-            soft = packed if softness == 1.0 else replace(packed, membrane=softness * packed.membrane)
+            soft = packed if softness == 1.0 else softened(packed, softness)
             x = self.step(soft, x, solver, closing, (thin, thin))
         if crosses:
             x = torch.from_numpy(untangled_start([garment], x.numpy()))
@@ -269,3 +269,14 @@ class Sewing:
             return 0.0
         found = surface.nearest(x)
         return max(0.0, -float(torch.where(found.beyond_border, 0.0, found.signed_distance).min()))
+
+
+def softened(packed: PackedGarments, softness: float) -> PackedGarments:
+    """Garments whose cloth is softer in its plane.
+
+    Args:
+        packed: the garments.
+        softness: share of their stiffness that is left.
+    """
+    stiffening = packed.stiffening * packed.stiffening.new_tensor([1.0, softness])
+    return replace(packed, membrane=softness * packed.membrane, stiffening=stiffening)

@@ -38,6 +38,7 @@ class PackedGarments:
             where the garment has one.
         face_areas: (faces,) rest areas [m^2].
         membrane: (faces, 4) moduli c11 (weft), c22 (warp), c12 and c33 [N/m] along the axes of the rest shape.
+        stiffening: (faces, 2) stretch of a thread beyond which it stiffens [1], and by how much for a unit of it [N/m].
         thickness: (faces,) [m].
         edges: (edges, 2) int64.
         edge_lengths: (edges,) rest lengths [m].
@@ -63,6 +64,7 @@ class PackedGarments:
     inverse_rest_shape: Tensor
     face_areas: Tensor
     membrane: Tensor
+    stiffening: Tensor
     thickness: Tensor
     edges: Tensor
     edge_lengths: Tensor
@@ -91,6 +93,12 @@ class PackedGarments:
     def lame_lambda(self) -> Tensor:
         """First Lame parameter (faces,) [Pa] of the isotropic cloth that is nearest: what networks read."""
         return nearest_isotropic(*self.membrane.unbind(1))[1].clamp_min(0.0) / self.thickness
+
+    @cached_property
+    def stiffens(self) -> bool:
+        """Whether some cloth grows stiffer where it is stretched; known without asking the device."""
+        materials = (each for garment in self.garments for each in garment.materials or (garment.material,))
+        return any(material.stiffening_stiffness > 0.0 for material in materials)
 
     @property
     def world_count(self) -> int:
@@ -289,6 +297,7 @@ def pack(
         inverse_rest_shape=real([inverse_rest_shapes(g.rest_shape) for g in garments]),
         face_areas=real([g.face_areas for g in garments]),
         membrane=per_face("membrane"),
+        stiffening=per_face("stiffening"),
         thickness=per_face("thickness"),
         edges=index([g.topology.edges for g in garments]),
         edge_lengths=real([g.edge_lengths for g in garments]),

@@ -24,7 +24,8 @@ def _face(
     blocks: np.ndarray,
     factors: np.ndarray,
 ) -> float:
-    """One face; its numbers are the inverse rest shape [1/m] by rows, and its four moduli times the rest area [J].
+    """One face; its numbers are the inverse rest shape [1/m] by rows, its four moduli times the rest area [J], the
+    stretch beyond which threads stiffen, and by how much for each unit of stretch, times the rest area [J].
 
     The second derivative is exact where the stress is tensile; what compression adds is multiples of the identity.
     """
@@ -40,6 +41,20 @@ def _face(
     c11, c22, c12, c33 = numbers[face, 4], numbers[face, 5], numbers[face, 6], numbers[face, 7]
     s11, s22, s12 = c11 * g11 + c12 * g22, c12 * g11 + c22 * g22, 2.0 * c33 * g12
     energy = 0.5 * (s11 * g11 + s22 * g22) + s12 * g12
+    stiffening = numbers[face, 9]
+    if stiffening > 0.0:
+        # The energy of a thread depends on its own stretch alone, so it adds to one stress and to one modulus.
+        u_length, v_length = np.sqrt(2.0 * g11 + 1.0), np.sqrt(2.0 * g22 + 1.0)
+        beyond = u_length - 1.0 - numbers[face, 8]
+        if beyond > 0.0:
+            energy += stiffening * beyond**3 / 6.0
+            s11 += 0.5 * stiffening * beyond**2 / u_length
+            c11 += stiffening * beyond / u_length**2 * (1.0 - 0.5 * beyond / u_length)
+        beyond = v_length - 1.0 - numbers[face, 8]
+        if beyond > 0.0:
+            energy += stiffening * beyond**3 / 6.0
+            s22 += 0.5 * stiffening * beyond**2 / v_length
+            c22 += stiffening * beyond / v_length**2 * (1.0 - 0.5 * beyond / v_length)
     if wanted == VALUE:
         return energy
     if wanted == GRADIENT:
@@ -86,6 +101,9 @@ class Stretch(EnergyTerm):
     gradient against the rest triangle in its own plane. Of an isotropic cloth of thickness h this is A h [mu tr(G^2) +
     lambda/2 tr(G)^2]. Source: SNUG (Santesteban et al. 2022), with 3D rest triangles as in HOOD (Grigorev et al. 2023);
     four moduli as in Volino et al. 2009.
+
+    A thread of a cloth that stiffens adds A k max(s - 1 - limit, 0)^3 / 6, s = sqrt(2 g11 + 1) its stretch: its modulus
+    grows by k [N/m] for each unit of stretch beyond the limit, without a jump.
     """
 
     name = "stretch"
@@ -99,6 +117,11 @@ class Stretch(EnergyTerm):
         g11, g22, g12 = 0.5 * ((u * u).sum(0) - 1.0), 0.5 * ((v * v).sum(0) - 1.0), 0.5 * (u * v).sum(0)
         c11, c22, c12, c33 = garments.membrane.unbind(1)
         density = 0.5 * (c11 * g11 * g11 + c22 * g22 * g22) + c12 * g11 * g22 + 2.0 * c33 * g12 * g12
+        if garments.stiffens:
+            limit, stiffening = garments.stiffening.unbind(1)
+            for thread in (u, v):
+                beyond = ((thread * thread).sum(0).clamp_min(1e-30).sqrt() - 1.0 - limit).clamp_min(0.0)
+                density = density + stiffening * beyond**3 / 6.0
         return sum_by_garment(garments.face_areas * density, garments.face_garment, garments.garment_count)
 
     def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
@@ -107,7 +130,7 @@ class Stretch(EnergyTerm):
     def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
         garments = step.garments
         inverse, moduli = as_float64(garments.inverse_rest_shape), as_float64(garments.membrane)
-        areas = as_float64(garments.face_areas)
-        numbers = rows(len(areas), inverse.reshape(-1, 4), areas[:, None] * moduli)
+        areas, (limit, stiffening) = as_float64(garments.face_areas), as_float64(garments.stiffening).T
+        numbers = rows(len(areas), inverse.reshape(-1, 4), areas[:, None] * moduli, limit, areas * stiffening)
         records = (Record(garments.faces.numpy(), garments.face_garment.numpy(), numbers),)
         return lambda _: records

@@ -1,0 +1,177 @@
+"""Cloth with a grain against closed forms: strips by direction, stiffening threads, bending by direction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import minimize
+from scipy.spatial import Delaunay
+from tests.physics.shapes import EVALUATION, packed, potential_of, sheet, tube
+from tests.readable_stiffness import readable_stiffness
+
+from pb4u.garment.garment import Garment
+from pb4u.garment.material import DirectionalBending, Material
+from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.step_potential import StepPotential
+from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
+
+TWILL = Material(0.25, 3000.0, 1200.0, 90.0, 40.0, DirectionalBending(2.4e-5, 1.1e-5, 1.2e-5))
+KNIT = replace(TWILL, stiffening_strain=0.03, stiffening_stiffness=9000.0)
+
+
+def cut(garment: Garment, turn: float, material: Material) -> Garment:
+    """A flat garment of that material, whose warp lies `turn` from the y axis towards the x axis."""
+    c, s = np.cos(turn), np.sin(turn)
+    flat = garment.vertices[garment.faces][..., :2] @ np.array([[c, s], [-s, c]])
+    return replace(garment, material=material, rest_uv=flat)
+
+
+def strip_force(material: Material, turn: float, stretch: float) -> float:
+    """Force by width [N/m] of a strip along the y axis that is free to narrow and to shear."""
+    garments = packed(cut(sheet(2, 2), turn, material))
+    rest = garments.rest_positions
+
+    def energy(along: float, free: np.ndarray) -> float:
+        x = torch.stack([free[0] * rest[:, 0], free[1] * rest[:, 0] + along * rest[:, 1], rest[:, 2]], dim=1)
+        return float(potential_of(garments).energies(x).terms["stretch"].sum())
+
+    # By the theorem of the envelope, the slope of the least energy is that at the least.
+    start = np.array([1.0, 0.0])
+    options = {"xatol": 1e-9, "fatol": 1e-16, "maxiter": 2000}
+    free = minimize(lambda free: energy(stretch, free), start, method="Nelder-Mead", options=options).x
+    step = 1e-4
+    return (energy(stretch + step, free) - energy(stretch - step, free)) / (2.0 * step)
+
+
+@pytest.mark.parametrize("stretch", [1.01, 1.08])
+@pytest.mark.parametrize("turn", [0.0, 45.0, 90.0])
+def test_a_strip_pulls_as_its_direction_says(turn: float, stretch: float) -> None:
+    c11, c22, c12, c33 = TWILL.warp_stiffness, TWILL.weft_stiffness, TWILL.coupling_stiffness, TWILL.shear_stiffness
+    along_warp, along_weft, narrowing = c11 - c12**2 / c22, c22 - c12**2 / c11, c12 / c22
+    bias = 4.0 / (1.0 / along_warp + 1.0 / along_weft - 2.0 * narrowing / along_warp + 1.0 / c33)
+    modulus = {0.0: along_warp, 45.0: bias, 90.0: along_weft}[turn]
+    strain = 0.5 * (stretch**2 - 1.0)
+    expected = modulus * strain * np.sqrt(1.0 + 2.0 * strain)
+    assert strip_force(TWILL, np.radians(turn), stretch) == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("stretch", [1.02, 1.05, 1.2])
+@pytest.mark.parametrize("turn", [0.0, 90.0])
+def test_a_thread_stiffens_beyond_its_limit(turn: float, stretch: float) -> None:
+    along, across = (3000.0, 1200.0) if turn == 0.0 else (1200.0, 3000.0)
+    modulus = along - 90.0**2 / across
+    beyond = max(stretch - 1.0 - 0.03, 0.0)
+    expected = modulus * 0.5 * (stretch**2 - 1.0) * stretch + 0.5 * 9000.0 * beyond**2
+    assert strip_force(KNIT, np.radians(turn), stretch) == pytest.approx(expected, rel=1e-4)
+
+
+def strained(seed: int, material: Material = KNIT) -> tuple[StepPotential, torch.Tensor]:
+    """A sheet cut off the grain, some of its threads beyond their limit, some slack."""
+    garments = packed(cut(sheet(6, 5, 0.3, 0.25), 0.4, material))
+    noise = torch.randn(garments.vertex_count, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    return potential_of(garments), 1.05 * garments.rest_positions + 0.004 * noise
+
+
+def stretch_alone(frozen: StepPotential, x: torch.Tensor) -> Stiffness:
+    only = IncrementalPotential((IncrementalPotential().term("stretch"),)).of(frozen.step)
+    return only.stiffness(x, StiffnessPattern(only.step.garments, only.elements()))
+
+
+def test_both_forms_of_a_stiffening_membrane_have_the_slope_of_their_energy() -> None:
+    step, x = strained(1)
+    stretches = torch.linalg.norm(x[step.step.garments.faces[:, 1]] - x[step.step.garments.faces[:, 0]], dim=1)
+    assert bool(torch.isfinite(stretches).all())
+    term, compiled = IncrementalPotential().term("stretch"), step.potential.term("stretch")
+    energies, gradient = term.energies_and_gradient(step.step, step.contacts, x)
+    found, slope = compiled.energies_and_gradient(step.step, step.contacts, x)
+    torch.testing.assert_close(found, energies, rtol=1e-12, atol=0.0)
+    torch.testing.assert_close(slope, gradient, rtol=1e-10, atol=1e-10 * float(gradient.abs().max()))
+    way = torch.randn(x.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    h = 1e-7
+    ahead, behind = (compiled.energies(step.step, step.contacts, x + sign * h * way) for sign in (1.0, -1.0))
+    assert float((slope * way).sum()) == pytest.approx(float((ahead - behind) / (2.0 * h)), rel=1e-6)
+
+
+def test_the_second_derivative_of_a_stiffening_membrane_is_that_of_differences() -> None:
+    step, x = strained(3)
+    compiled = step.potential.term("stretch")
+    way = torch.randn(x.shape, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
+    h = 1e-6
+    ahead, behind = (
+        compiled.energies_and_gradient(step.step, step.contacts, x + sign * h * way)[1] for sign in (1.0, -1.0)
+    )
+    expected = ((ahead - behind) / (2.0 * h)).numpy().ravel()
+    found = stretch_alone(step, x).matrix(1.0).toarray() @ way.numpy().ravel()
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max())
+    positive, negative = readable_stiffness("stretch", step, x)
+    size = float(positive.abs().max())
+    np.testing.assert_allclose(stretch_alone(step, x).matrix().toarray(), positive.numpy(), atol=1e-10 * size)
+    assert np.linalg.eigvalsh(stretch_alone(step, x).matrix().toarray()).min() > -1e-10 * size
+    assert float(negative.abs().max()) > 0.0
+
+
+def test_equal_constants_are_the_isotropic_cloth() -> None:
+    c11, c22, c12, c33 = EVALUATION.membrane
+    same = replace(EVALUATION, bending_stiffness=DirectionalBending(*3 * [EVALUATION.bending / 4.0]))
+    assert (c11, c22) == (c22, c12 + 2.0 * c33)
+    step, x = strained(5, EVALUATION)
+    turned = packed(cut(sheet(6, 5, 0.3, 0.25), 1.1, same))
+    expected = step.energies(x).terms
+    for name, values in potential_of(turned).energies(x).terms.items():
+        torch.testing.assert_close(values, expected[name], rtol=1e-12, atol=1e-18)
+
+
+def test_a_cloth_with_a_grain_has_its_warp_upwards_where_it_was_not_cut_flat() -> None:
+    garment = tube(12, 4, 0.2, 0.4, TWILL)
+    garments = packed(garment)
+    x = garments.rest_positions.clone()
+    x[:, 1] *= 1.02
+    strain = 0.5 * (1.02**2 - 1.0)
+    expected = 0.5 * TWILL.warp_stiffness * strain**2 * garment.face_areas.sum()
+    assert float(potential_of(garments).energies(x).terms["stretch"].sum()) == pytest.approx(expected, rel=1e-9)
+
+
+def irregular(material: Material, turn: float) -> Garment:
+    """A disc of triangles of all directions."""
+    draw = np.random.default_rng(7)
+    points = draw.uniform(-1.0, 1.0, (6000, 2)) * 0.1
+    # Evened out, so that no triangle is a sliver.
+    for _ in range(20):
+        faces = Delaunay(points).simplices
+        middles, count = np.zeros_like(points), np.zeros(len(points))
+        for corner in range(3):
+            np.add.at(middles, faces[:, corner], points[faces].mean(axis=1))
+            np.add.at(count, faces[:, corner], 1.0)
+        inner = np.abs(points).max(axis=1) < 0.098
+        points[inner] = (middles / count[:, None])[inner]
+    faces = Delaunay(points).simplices.astype(np.int64)
+    faces = faces[np.linalg.norm(points[faces].mean(axis=1), axis=1) < 0.08]
+    used, faces = np.unique(faces, return_inverse=True)
+    vertices = np.column_stack([points[used], np.zeros(len(used))])
+    return cut(Garment("disc", vertices, faces.reshape(-1, 3), material), turn, material)
+
+
+@pytest.mark.parametrize(
+    "bending",
+    [
+        DirectionalBending(2.4e-5, 1.1e-5, 1.2e-5),
+        DirectionalBending(1e-5, 1e-5, 6e-6),
+        DirectionalBending(3e-6, 9e-6, 5e-6),
+    ],
+)
+def test_hinges_of_all_directions_bend_as_warp_weft_and_bias_say(bending: DirectionalBending) -> None:
+    plain, grained = (irregular(replace(TWILL, bending_stiffness=each), 0.0) for each in (1e-5, bending))
+
+    def energy(garment: Garment, turn: float) -> float:
+        garments = packed(garment)
+        x = garments.rest_positions.clone()
+        # Rolled around an axis across the direction that lies `turn` from the warp.
+        x[:, 2] = 0.5 * 0.1 * (np.sin(turn) * x[:, 0] + np.cos(turn) * x[:, 1]) ** 2
+        return float(potential_of(garments).energies(x).terms["bending"].sum())
+
+    for turn, stiffness in ((0.0, bending.warp), (45.0, bending.bias), (90.0, bending.weft), (135.0, bending.bias)):
+        made = 1e-5 * energy(grained, np.radians(turn)) / energy(plain, np.radians(turn))
+        assert made == pytest.approx(stiffness, rel=0.1)
