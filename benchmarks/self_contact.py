@@ -27,7 +27,7 @@ import numpy as np
 
 from pb4u.collision.crossings import self_crossings
 from pb4u.garment.library import garment_names
-from pb4u.garment.material import material_names
+from pb4u.garment.material import MATERIALS
 from pb4u.jobs.job import Failure, Made
 from pb4u.jobs.job_folder import JobFolder, quiet
 from pb4u.jobs.worker_pool import LocalPool
@@ -92,7 +92,7 @@ def runs(kind: str, args: argparse.Namespace) -> Iterator[Run]:
             garments = (str(draw.choice(garment_names())),) if alone else OUTFITS[draw.integers(len(OUTFITS))]
             shape = {name: float(draw.uniform(0.1, 0.9)) for name in ("height", "weight", "muscle")}
             body = str(draw.choice(["woman", "man"]))
-            motion, material = str(draw.choice(motion_names())), str(draw.choice(material_names()))
+            motion, material = str(draw.choice(motion_names())), str(draw.choice(tuple(MATERIALS)))
             if seed >= first:
                 yield run(garments, motion, 1500, 60, body_shape=shape, body=body, material=material, seed=seed)
     else:

@@ -22,8 +22,7 @@ SENTENCES = {
     "simulate --motion wlak": "There is no motion 'wlak'; did you mean walk? There are walk, run, jump, arms, twist, "
     "squat, turn, dance.",
     "simulate --motion absent.bvh": 'There is no motion file "absent.bvh".',
-    "simulate --material sillk": "There is no material 'sillk'; did you mean silk? There are default, cotton, silk, "
-    "denim, wool, jersey, leather.",
+    "simulate --material sillk": "There is no material 'sillk'; did you mean silk?",
     "simulate --material absent.json": "There is no material file absent.json.",
     "simulate --model pb4u-smal": "There is no model 'pb4u-smal'; did you mean pb4u-small or pb4u-light?",
     "simulate --model solver --refine 3": "--refine does nothing with --model solver; leave it out.",

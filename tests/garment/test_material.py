@@ -1,4 +1,5 @@
 import json
+import re
 from dataclasses import asdict
 from pathlib import Path
 
@@ -6,7 +7,7 @@ import numpy as np
 import pytest
 
 from pb4u.errors import InputError
-from pb4u.garment.material import MATERIALS, DirectionalBending, Material, load_material, material_names
+from pb4u.garment.material import FABRICS, MATERIALS, DirectionalBending, Material, load_material, material_names
 
 
 def test_the_default_is_the_evaluation_material() -> None:
@@ -14,7 +15,7 @@ def test_the_default_is_the_evaluation_material() -> None:
 
 
 def test_named_materials_lie_in_the_training_ranges() -> None:
-    assert material_names() == ("default", "cotton", "silk", "denim", "wool", "jersey", "leather")
+    assert tuple(MATERIALS) == ("default", "cotton", "silk", "denim", "wool", "jersey", "leather")
     for material in MATERIALS.values():
         assert 0.0434 <= material.density <= 0.7
         assert 15909 <= material.lame_mu <= 63636
@@ -43,6 +44,25 @@ def test_a_material_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "felt.json"
     path.write_text(json.dumps({"density": 0.3, "lame_mu": 2e4, "lame_lambda": 3e4, "bending": 1e-4}))
     assert load_material(path) == Material.isotropic(0.3, 2e4, 3e4, 1e-4)
+
+
+def test_fabrics_are_named_and_say_where_their_numbers_come_from() -> None:
+    assert material_names() == (*MATERIALS, *FABRICS)
+    assert len(FABRICS) >= 16
+    for name, fabric in FABRICS.items():
+        assert load_material(name) is fabric
+        assert re.match("(Measured|Estimate|Weight|Sheep)", fabric.source), name
+        assert fabric.has_grain
+        # Bending lengths of clothing, from chiffon to foam: the cube root of stiffness over weight.
+        assert 0.008 < (0.25 * fabric.bending / (9.81 * fabric.density)) ** (1 / 3) < 0.045, name
+
+
+def test_published_drape_is_of_fabrics_that_are_there() -> None:
+    bands = json.loads((Path(__file__).parents[2] / "benchmarks" / "drape_bands.json").read_text())
+    assert set(bands) <= set(FABRICS)
+    for band in bands.values():
+        assert 0.0 < band["lowest"] < band["highest"] < 100.0
+        assert len(band["source"]) > 20
 
 
 TWILL = {

@@ -86,7 +86,7 @@ def catalogue() -> dict[str, list[dict[str, Any]]]:
 
     from pb4u.body.library import body_names
     from pb4u.garment.library import LEVELS, garment_names
-    from pb4u.garment.material import MATERIALS
+    from pb4u.garment.material import BUILT_IN
     from pb4u.motion.library import motion_names
     from pb4u.simulation.models import model_descriptions
 
@@ -96,7 +96,7 @@ def catalogue() -> dict[str, list[dict[str, Any]]]:
         "garments": [{"name": name, "description": _WHAT[name], "levels": dict(LEVELS)} for name in garment_names()],
         "materials": [
             {"name": name, "description": _material_line(material), **asdict(material)}
-            for name, material in MATERIALS.items()
+            for name, material in BUILT_IN.items()
         ],
         "models": [{"name": name, "description": text} for name, text in model_descriptions().items()],
     }
@@ -151,10 +151,10 @@ def write(
     """
     from pb4u.body.library import body_names, load_boned_body
     from pb4u.garment.library import garment_names
-    from pb4u.garment.material import MATERIALS
+    from pb4u.garment.material import BUILT_IN
     from pb4u.motion.library import motion_names
 
-    named = {"garment": garment_names(), "body": body_names(), "motion": motion_names(), "material": MATERIALS}
+    named = {"garment": garment_names(), "body": body_names(), "motion": motion_names(), "material": BUILT_IN}
     kinds = {each: kind for kind, names in named.items() for each in names}
     if name not in kinds and Path(name).exists():
         kinds[name] = "body"
@@ -213,9 +213,9 @@ def _write_motion(name: str, figure: ShapedBody, frames: int, fps: float, out: P
 def _write_material(name: str, out: Path) -> dict[str, Any]:
     from dataclasses import asdict
 
-    from pb4u.garment.material import MATERIALS
+    from pb4u.garment.material import BUILT_IN
 
-    write_json(asdict(MATERIALS[name]), str(out))
+    write_json(asdict(BUILT_IN[name]), str(out))
     return {}
 
 

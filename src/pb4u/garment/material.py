@@ -280,8 +280,8 @@ def nearest_isotropic(c11: Any, c22: Any, c12: Any, c33: Any) -> tuple[Any, Any]
     return mu, 0.25 * (c11 + c22 + 2.0 * c12) - mu
 
 
-#: Built-in materials; `default` is the one that the family of methods is evaluated with (reference 1.7), the others lie
-#: within the range that it is trained on. `jersey` stands for knits: Young's modulus of the membrane,
+#: Isotropic materials; `default` is the one that the family of methods is evaluated with (reference 1.7), the others
+#: lie within the range that it is trained on. `jersey` stands for knits: Young's modulus of the membrane,
 #: 4 mu (mu + lambda) h / (2 mu + lambda), is 17 N/m, and 39 N/m of cotton.
 MATERIALS: dict[str, Material] = {
     "default": Material.isotropic(density=0.20022, lame_mu=23600.0, lame_lambda=44400.0, bending=3.962e-5),
@@ -294,9 +294,18 @@ MATERIALS: dict[str, Material] = {
 }
 
 
+_DATA = Path(__file__).parent / "data"
+
+#: Cloth with a grain, in SI units: measured where its source says so, else an estimate of its class.
+FABRICS: dict[str, Material] = {name: Material.of(record) for name, record in read_json(_DATA / "fabrics.json").items()}
+
+#: All that is built in.
+BUILT_IN: dict[str, Material] = {**MATERIALS, **FABRICS}
+
+
 def material_names() -> tuple[str, ...]:
-    """Names of the built-in materials."""
-    return tuple(MATERIALS)
+    """Names of the built-in materials and fabrics."""
+    return tuple(BUILT_IN)
 
 
 def load_material(name_or_path: str | Path) -> Material:
@@ -310,11 +319,11 @@ def load_material(name_or_path: str | Path) -> Material:
         InputError: no such name or file, or the file does not describe a material.
     """
     name = str(name_or_path)
-    if name in MATERIALS:
-        return MATERIALS[name]
+    if name in BUILT_IN:
+        return BUILT_IN[name]
     path = Path(name_or_path)
     if not path.suffix:
-        raise unknown_name("material", name, MATERIALS)
+        raise unknown_name("material", name, BUILT_IN)
     if path.suffix.lower() != ".json":
         raise InputError(f"A material of your own is a .json file; {path} ends otherwise.")
     return _read_material(path)

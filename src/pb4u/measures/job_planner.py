@@ -11,7 +11,7 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.body.character import Character
 from pb4u.errors import InputError, unknown_name
 from pb4u.garment.library import garment_names
-from pb4u.garment.material import MATERIALS, load_material
+from pb4u.garment.material import BUILT_IN, load_material
 from pb4u.io.companions import with_companions
 from pb4u.jobs.job import digest
 from pb4u.measures.run_job import RunJob
@@ -89,7 +89,7 @@ class JobPlanner:
 
     def _require_names(self, run: Run) -> None:
         """Refuse names and files that are not there."""
-        known = {"garment": garment_names(), "motion": motion_names(), "material": tuple(MATERIALS)}
+        known = {"garment": garment_names(), "motion": motion_names(), "material": tuple(BUILT_IN)}
         worn: list[tuple[str, object]] = [("garment", each.garment) for each in run.garments]
         cloths = [("material", value) for each in run.garments for value in each.materials.values()]
         given = [*worn, *cloths, *((kind, getattr(run, kind)) for kind in ("motion", "body", "omitted", "model"))]
