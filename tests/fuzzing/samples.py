@@ -452,6 +452,11 @@ def _network(path: Path) -> None:
 def _texts() -> Iterator[Sample]:
     material = {"density": 0.2, "lame_mu": 2e4, "lame_lambda": 3e4, "bending": 1e-5, "thickness": 5e-4}
     yield Sample("material", {"m.json": json.dumps(material).encode()}, (load_material,))
+    fabric = {f"{name}_stiffness": 100.0 for name in ("warp", "weft", "shear")} | {"coupling_stiffness": 10.0}
+    fabric |= {"density": 0.2, "bending_stiffness": {"warp": 1e-5, "weft": 1e-5, "bias": 1e-5}, "source": "a mill"}
+    yield Sample("fabric", {"m.json": json.dumps(fabric).encode()}, (load_material,))
+    measured = {"density": 0.2, "stretching": 6 * [[20.0, 5.0, 40.0, 10.0]], "bending": 3 * [5 * [2e-5]]}
+    yield Sample("material of ARCSim", {"m.json": json.dumps(measured).encode()}, (load_material,))
     yield Sample("pins", {"pins.txt": b"0 1 2\n3,4\n"}, (pins,))
     yield Sample("pins in JSON", {"pins.json": b"[0, 1, 2, 5]"}, (pins,))
     with tempfile.TemporaryDirectory() as folder:

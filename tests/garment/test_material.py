@@ -140,6 +140,57 @@ def test_an_orthotropic_material_that_is_no_cloth_is_refused(tmp_path: Path, cha
         load_material(path)
 
 
+ARCSIM = {
+    "density": 0.2,
+    "stretching": [
+        [20.0, -3.0, 40.0, 10.0],
+        [35.0, 0, 45, 10.0],
+        *3 * [[30.0, 5.0, 50.0, 10.0]],
+        [30.0, 5.0, 70.0, 9.0],
+    ],
+    "bending": [[20e-6, 20e-6, 20e-6, 20e-6, 40e-6], 5 * [12e-6], [16e-6, 16e-6, 16e-6, 16e-6, 16e-6]],
+}
+
+
+def test_a_material_of_arcsim_is_read_as_it_computes(tmp_path: Path) -> None:
+    path = tmp_path / "knit.json"
+    path.write_text(json.dumps(ARCSIM))
+    knit = load_material(path)
+    assert knit.membrane == (40.0, 80.0, 0.0, 10.0)
+    bending = asdict(knit)["bending_stiffness"]
+    assert bending == pytest.approx({"warp": 6e-6, "weft": 4e-6, "bias": 3e-6})
+    # Its force at a stretch of 1/6: the mean of both threads grows by 2 (15 + 30) / 2 N/m, times the stretch.
+    assert knit.stiffening_strain == 0.0
+    assert 0.5 * knit.stiffening_stiffness * (1 / 6) ** 2 == pytest.approx(45.0 / 6)
+    assert "knit.json" in knit.source
+
+
+def test_what_wang_and_others_measured_is_read_alike(tmp_path: Path) -> None:
+    path = tmp_path / "denim.json"
+    rows = [[205.352, 10.234, 1013.886, 53.387], [232.028, 0, 0, 0], *3 * [4 * [0]], [0, 0, 1051.557, 0]]
+    path.write_text(json.dumps({"density": 0.324, "stretching": rows, "bending": 3 * [5 * [60e-6]]}))
+    read, named = load_material(path), FABRICS["denim-11oz"]
+    assert read.membrane == pytest.approx(named.membrane, rel=5e-3)
+    assert read.stiffening_stiffness == pytest.approx(named.stiffening_stiffness, rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"bending": 2e-5}, '"bending" must be 3 rows of 5 numbers'),
+        ({"stretching": ARCSIM["stretching"][:5]}, '"stretching" must be 6 rows of 4 numbers'),
+        ({"stretching": [["x"]]}, '"stretching" must be 6 rows'),
+        ({"density": None}, '"density" must be a number'),
+        ({"damping": 0.1}, "unknown entries"),
+    ],
+)
+def test_a_faulty_material_of_arcsim_is_refused(tmp_path: Path, changed: dict, message: str) -> None:
+    path = tmp_path / "odd.json"
+    path.write_text(json.dumps({**ARCSIM, **changed}))
+    with pytest.raises(InputError, match=message):
+        load_material(path)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

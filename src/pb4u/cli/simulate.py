@@ -98,6 +98,7 @@ def _default_targets(run: Run) -> list[Path]:
 
 def _simulate(run: Run, asked: Outputs, targets: list[Path], view: View | None) -> None:
     from pb4u.export.live_caches import check_live_folder
+    from pb4u.measures.overstretch import overstretched_sentences
     from pb4u.scene.trajectory_file import interrupted_path
     from pb4u.simulation.models import simulator_of
     from pb4u.simulation.run_simulation import scene_for
@@ -143,6 +144,8 @@ def _simulate(run: Run, asked: Outputs, targets: list[Path], view: View | None) 
 
         through_cloth = limbs_sentence(through, trajectory)
     _say_how_it_ended(simulator.name, trajectory.frame_count, record.failed_at, diverged, through_cloth)
+    for sentence in overstretched_sentences(trajectory):
+        warn(sentence)
 
 
 def _say_how_it_ended(

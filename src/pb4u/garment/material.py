@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError, unknown_name
+from pb4u.garment.arcsim_material import arcsim_fields, is_arcsim
 from pb4u.io.reading_limits import read_json, refusing
 
 Moduli = tuple[float, float, float, float]
@@ -313,7 +314,7 @@ def load_material(name_or_path: str | Path) -> Material:
 
     Args:
         name_or_path: one of `material_names()`, or a JSON file with the fields of `Material`, or with the five numbers
-            of an isotropic cloth.
+            of an isotropic cloth, or one of ARCSim.
 
     Raises:
         InputError: no such name or file, or the file does not describe a material.
@@ -334,6 +335,8 @@ def _read_material(path: Path) -> Material:
         raise InputError(f"There is no material file {path}.")
     with refusing(path, "is not JSON"):
         record = read_json(path)
+    if isinstance(record, dict) and is_arcsim(record):
+        record = arcsim_fields(record, path)
     entries = set(record) if isinstance(record, dict) else set()
     isotropic = bool(entries & {"lame_mu", "lame_lambda", "bending"})
     known = ISOTROPIC if isotropic else [entry.name for entry in fields(Material)]

@@ -13,6 +13,7 @@ from pb4u.measures.divergence import skinned_centres
 from pb4u.measures.excess import BEATEN_BY, distance_to, excess_heights, series
 from pb4u.measures.limbs import Bones, LimbWatch, limbs_sentence, limbs_through_cloth, watched
 from pb4u.measures.metrics import measure
+from pb4u.measures.overstretch import overstretched_sentences
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
@@ -58,9 +59,12 @@ def run_report(
         measured["frames_below_reference"] = sum(height < -BEATEN_BY for height in heights)
     if reference is not None:
         measured["metrics"]["distance_to_reference"] = series(distance_to(trajectory, reference))
-    said = limbs_sentence(measured.get("limbs_through_cloth", ()), trajectory)
+    said = [
+        limbs_sentence(measured.get("limbs_through_cloth", ()), trajectory),
+        *overstretched_sentences(trajectory),
+    ]
     facts = run_facts(trajectory.header, simulator, scene, record) | {"frames": trajectory.frame_count}
-    return {**facts, **measured, "notes": [*scene.notes, *([said] if said else [])]}
+    return {**facts, **measured, "notes": [*scene.notes, *filter(None, said)]}
 
 
 def run_facts(header: TrajectoryHeader, simulator: Simulator, scene: Scene, record: RunRecord) -> dict[str, Any]:
