@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +11,12 @@ import pytest
 from tests.simulation.ball_scene import sheet
 
 import pb4u
+from pb4u.cli.run_flags import run_flags, run_of
+from pb4u.dataset.jobs_file import read_jobs
 from pb4u.environment import USUAL
 from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.measures.metrics import Ruler
+from pb4u.measures.run_job import RunJob
 
 MOON = pb4u.Environment(gravity=(0.0, -1.62, 0.0), air_density=0.0, ground=None)
 
@@ -21,13 +24,13 @@ MOON = pb4u.Environment(gravity=(0.0, -1.62, 0.0), air_density=0.0, ground=None)
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"gravity": 9.81}, "gravity must be three numbers, along X, Y and Z, not 9.81"),
-        ({"gravity": (0, -9.81)}, "gravity must be three numbers"),
-        ({"gravity": "low"}, "gravity must be three numbers, along X, Y and Z, not 'low'"),
-        ({"gravity": (0, "down", 0)}, "gravity must be a finite number, not 'down'"),
-        ({"gravity": (0, float("nan"), 0)}, "gravity must be a finite number, not nan"),
-        ({"air_density": -1}, "air_density must be 0 kg/m^3 or more, not -1"),
-        ({"air_density": True}, "air_density must be a finite number, not True"),
+        ({"gravity": 9.81}, "gravity must be three finite numbers, along X, Y and Z, not 9.81"),
+        ({"gravity": (0, -9.81)}, "gravity must be three finite numbers"),
+        ({"gravity": "low"}, "gravity must be three finite numbers, along X, Y and Z, not 'low'"),
+        ({"gravity": (0, "down", 0)}, "gravity must be three finite numbers"),
+        ({"gravity": (0, float("nan"), 0)}, "gravity must be three finite numbers, along X, Y and Z, not (0, nan, 0)"),
+        ({"air_density": -1}, "air_density must be a number, 0 or more, not -1"),
+        ({"air_density": True}, "air_density must be a number, 0 or more, not True"),
         ({"ground": float("inf")}, "ground must be a finite number, not inf"),
         ({"wind": (0, 0, 3)}, "wind must be [0, 0, 0]: no energy of the air is among those of a simulation yet"),
     ],
@@ -56,6 +59,23 @@ def test_every_entry_is_read_and_an_unknown_one_refused(tmp_path: Path) -> None:
     file.write_text("[environment]\ngravitation = [0, -3.7, 0]\n")
     with pytest.raises(pb4u.InputError, match=r"scene\.toml.*gravitation"):
         pb4u.Run.open(file)
+
+
+def test_flags_and_jobs_files_have_its_fields(tmp_path: Path) -> None:
+    given = {"gravity": (0.0, -1.62, 0.0), "air_density": 0.0, "ground": "none"}
+    assert run_of(pb4u.Run(), given).environment == MOON
+    assert {each.name for each in fields(pb4u.Environment)} <= {*run_flags()}
+    # A flag changes one field of the scene file's, and "none" is as good as None.
+    changed = run_of(pb4u.Run(environment=MOON), {"ground": -1.0}).environment
+    assert changed == replace(MOON, ground=-1.0)
+    jobs = tmp_path / "jobs.toml"
+    jobs.write_text('[fixed]\nground = "none"\nair_density = 0\n[product]\ngravity = [[0, -1.62, 0], [0, -9.81, 0]]\n')
+    moon, earth = read_jobs(jobs)
+    assert moon.environment == MOON
+    assert earth.environment == replace(MOON, gravity=USUAL.gravity)
+    labels = RunJob(moon).labels
+    assert (labels["gravity"], labels["air_density"], labels["ground"]) == ([0.0, -1.62, 0.0], 0.0, None)
+    assert len({RunJob(each).key for each in (moon, earth)}) == 2
 
 
 def test_a_scene_is_made_in_the_environment_of_its_run() -> None:

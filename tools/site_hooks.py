@@ -101,10 +101,12 @@ def _entries() -> Iterator[str]:
     """The entries of each section of a scene file, with what they are."""
     from pb4u.cli.record_flags import option
     from pb4u.options import described
-    from pb4u.run import Run, WornGarment, entries
+    from pb4u.run import SECTIONS, Run, WornGarment, entries
 
-    for section, title in (("scene", "[scene]"), ("garments", "[[garments]]"), ("run", "[run]")):
-        found = described(WornGarment if section == "garments" else Run)
+    for section in ("garments", *SECTIONS):
+        found, title = described(Run), f"[{section}]"
+        if section == "garments":
+            found, title = described(WornGarment), f"[{title}]"
         yield from (f"| `{title}` | |", "|---|---|")
         yield from (f"| `{name}` | {_cell(option(found[name]).help)} |" for name in entries(section))
         yield ""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from numbers import Real
-from typing import Any
+from typing import Annotated, Any
 
 from pb4u.errors import InputError
+from pb4u.options import NONE, Flag, require_fitting
 
 STANDARD_GRAVITY = 9.81
 """Magnitude of gravity [m/s^2] in every scene that does not say otherwise; forces and residuals are measured in it."""
@@ -20,45 +19,34 @@ UP = (0.0, 1.0, 0.0)
 _AIR = ("wind", "air_density")
 
 
-def _vector(name: str, value: Any) -> tuple[float, ...]:
-    if not hasattr(value, "__len__") or isinstance(value, str) or len(value) != 3:
-        raise InputError(f"{name} must be three numbers, along X, Y and Z, not {value!r}.")
-    return tuple(_number(name, part) for part in value)
-
-
-def _number(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
-        raise InputError(f"{name} must be a finite number, not {value!r}.")
-    return float(value)
-
-
 @dataclass(frozen=True)
 class Environment:
     """Gravity, air and ground of a scene.
 
     Args:
-        gravity: (3,) acceleration of free fall [m/s^2].
-        wind: (3,) velocity of the air [m/s]. No energy has air in it yet, so that it must be still.
-        air_density: density of the air [kg/m^3], for the energy that will have it.
-        ground: height of the ground plane [m]; None for no ground.
+        gravity: Acceleration of free fall [m/s^2] along X, Y and Z, Y being up.
+        wind: Velocity of the air [m/s] along X, Y and Z. No energy has air in it yet, so that it must be still.
+        air_density: Density of the air [kg/m^3], for the energy that will have it.
+        ground: Height of the ground plane [m]; none for no ground.
 
     Raises:
         InputError: a value is no finite number, or out of range.
     """
 
-    gravity: tuple[float, float, float] = (0.0, -STANDARD_GRAVITY, 0.0)
-    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    air_density: float = 1.2
-    ground: float | None = 0.0
+    gravity: Annotated[tuple[float, float, float], Flag(metavar="X,Y,Z")] = (0.0, -STANDARD_GRAVITY, 0.0)
+    wind: Annotated[tuple[float, float, float], Flag(metavar="X,Y,Z")] = (0.0, 0.0, 0.0)
+    air_density: Annotated[float, Flag(metavar="RHO", least=0)] = 1.2
+    ground: Annotated[float | None, Flag(metavar="HEIGHT|none")] = 0.0
 
     def __post_init__(self) -> None:
+        if str(self.ground) == NONE:
+            object.__setattr__(self, "ground", None)
+        require_fitting(self)
         for name in ("gravity", "wind"):
-            object.__setattr__(self, name, _vector(name, getattr(self, name)))
-        object.__setattr__(self, "air_density", _number("air_density", self.air_density))
-        if self.ground is not None:
-            object.__setattr__(self, "ground", _number("ground", self.ground))
-        if self.air_density < 0.0:
-            raise InputError(f"air_density must be 0 kg/m^3 or more, not {self.air_density:g}.")
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+        for name in ("air_density", "ground"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, float(getattr(self, name)))
         if any(self.wind):
             raise InputError("wind must be [0, 0, 0]: no energy of the air is among those of a simulation yet.")
 

@@ -6,9 +6,10 @@ The text of a field in the docstring of its record is its help; its `Flag` says 
 from __future__ import annotations
 
 import inspect
+import math
 import re
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import lru_cache
 from numbers import Integral, Real
 from pathlib import Path
@@ -16,6 +17,9 @@ from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from pb4u.errors import InputError, unknown_name
+
+NONE = "none"
+"""What is written for None where leaving a field out means something else, as of the ground."""
 
 
 @dataclass(frozen=True)
@@ -56,13 +60,14 @@ class Entry:
     Args:
         name: of the field.
         type: of its value, the first of those that it may have.
-        kind: "switch", "whole", "number", "choice", "name", "file", "names", "counts" or "files"; "other" where its
-            record checks it.
+        kind: "switch", "whole", "number", "vector", "choice", "name", "file", "names", "counts" or "files"; "other"
+            where its record checks it.
         optional: whether None may stand for its value.
         choices: values of a choice.
         default: its value where none is given.
         flag: how it is offered.
         help: its text.
+        holder: field of the record that holds the record of this field; "" for the record's own fields.
     """
 
     name: str
@@ -73,6 +78,20 @@ class Entry:
     default: Any
     flag: Flag
     help: str
+    holder: str = ""
+
+    def value_in(self, record: Any) -> Any:
+        """Its value in a record.
+
+        Args:
+            record: what was described.
+        """
+        return getattr(getattr(record, self.holder) if self.holder else record, self.name)
+
+    @property
+    def takes_none(self) -> bool:
+        """Whether `NONE` may be written for its value."""
+        return self.optional and self.default is not None
 
     @property
     def label(self) -> str:
@@ -82,7 +101,9 @@ class Entry:
 
 @lru_cache
 def described(record: type) -> Mapping[str, Entry]:
-    """The fields of a record that have a flag, by name.
+    """The fields of a record that have a flag, by name; in the place of a field that is a record, those of that one.
+
+    The fields of a record within another stand in a section of that field's name, under its panel.
 
     Args:
         record: a dataclass whose docstring says what each field is.
@@ -94,6 +115,11 @@ def described(record: type) -> Mapping[str, Entry]:
         if get_origin(hint) is not Annotated:
             continue
         kinds, flag = get_args(hint)[0], get_args(hint)[1]
+        if is_dataclass(kinds) and isinstance(kinds, type):
+            for name, inner in described(kinds).items():
+                of = replace(inner.flag, panel=flag.panel, section=each.name, applies_to=flag.applies_to)
+                found[name] = replace(inner, flag=of, holder=each.name)
+            continue
         parts = get_args(kinds) if isinstance(kinds, UnionType) or get_origin(kinds) is Union else (kinds,)
         choices = next((get_args(part) for part in parts if get_origin(part) is Literal), ())
         kind = "choice" if choices else next((name for of, name in _KINDS.items() if of in parts), "other")
@@ -105,7 +131,7 @@ def described(record: type) -> Mapping[str, Entry]:
 
 
 _KINDS: dict[Any, str] = {
-    bool: "switch", int: "whole", float: "number", str: "name", Path: "file",
+    bool: "switch", int: "whole", float: "number", str: "name", Path: "file", tuple[float, float, float]: "vector",
     tuple[str, ...]: "names", tuple[int, ...]: "counts", tuple[Path, ...]: "files",
 }  # fmt: skip
 
@@ -128,7 +154,8 @@ def require_fitting(record: Any) -> None:
     """
     kind: type = type(record)
     for entry in described(kind).values():
-        require_value(entry, getattr(record, entry.name), entry.name)
+        if not entry.holder:
+            require_value(entry, getattr(record, entry.name), entry.name)
 
 
 def require_value(entry: Entry, value: object, name: str) -> None:
@@ -146,7 +173,7 @@ def require_value(entry: Entry, value: object, name: str) -> None:
         raise InputError(f"{name} must be {_wanted(entry)}, not {value!r}.")
 
 
-def _fits(entry: Entry, value: object) -> bool:
+def _fits(entry: Entry, value: Any) -> bool:
     if entry.kind == "choice":
         if value not in entry.choices:
             raise unknown_name(entry.name.replace("_", " "), str(value), entry.choices)
@@ -159,8 +186,9 @@ def _fits(entry: Entry, value: object) -> bool:
         return value != "" and not isinstance(value, Real | Mapping | list | set) and value is not None
     if entry.kind in ("other", "file", "names", "counts", "files"):
         return True
-    kind = Integral if entry.kind == "whole" else Real
-    if isinstance(value, bool) or not isinstance(value, kind):
+    if entry.kind == "vector":
+        return hasattr(value, "__len__") and len(value) == 3 and all(map(_is_finite, value))
+    if not (is_whole(value) if entry.kind == "whole" else _is_finite(value)):
         return False
     least, most = entry.flag.least, entry.flag.most
     return (least is None or value >= least) and (most is None or value <= most)  # type: ignore[operator]
@@ -172,9 +200,11 @@ def _wanted(entry: Entry) -> str:
         return "true or false"
     if entry.kind == "name":
         return "a name, a path or a loaded object"
+    if entry.kind == "vector":
+        return "three finite numbers, along X, Y and Z"
     number, least, most = "a whole number" if entry.kind == "whole" else "a number", entry.flag.least, entry.flag.most
     if least is None:
-        return number
+        return number if entry.kind == "whole" else "a finite number"
     return f"{number} from {least:,g} to {most:,g}" if most is not None else f"{number}, {least:,g} or more"
 
 
@@ -185,6 +215,10 @@ def is_whole(value: object) -> bool:
         value: anything.
     """
     return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def are_pairs(value: object) -> bool:

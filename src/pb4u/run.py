@@ -18,7 +18,7 @@ from pb4u.body.built_in import DEFAULT_BODY
 from pb4u.environment import USUAL, Environment
 from pb4u.errors import InputError, refuse_unknown
 from pb4u.garment.dictionary_entry import DictionaryEntry
-from pb4u.options import Flag, are_pairs, described, is_whole, require_fitting
+from pb4u.options import NONE, Flag, are_pairs, described, is_whole, require_fitting
 
 if TYPE_CHECKING:
     from pb4u.body.animated_body import AnimatedBody
@@ -119,7 +119,7 @@ class Run:
     Args:
         garments: Garments worn, inner first; in Python one alone too.
         body: woman, man, anny (extra), a model file of the SMPL family, a rigged character (.glb, .gltf, .vrm),
-            or a sequence of vertices.
+            a sequence of vertices, or none: a garment file then hangs from its pins, or falls to the ground.
         body_shape: Shape of the body, such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of a file of the SMPL
             family; `pb4u assets` lists the names.
         clip: Clip that a rigged character performs. Default: its first.
@@ -132,7 +132,8 @@ class Run:
             keeps the arms of a recording out of the body; 0 leaves them as recorded.
         raw_motion: Leave motion from a video as it is, neither smoothed nor its feet held.
         recorded_fps: Frames per second of a recording or a sequence of vertices. Default: what its file says, or 30.
-        lead_in: Frames from the rest pose into the motion, simulated but not written. Default: one second.
+        lead_in: Frames from the rest pose into the motion, simulated but not written. Default: one second, or 0
+            without a body.
         keep_lead_in: Write the lead-in frames as well, before those that --frames counts.
         frames: Frames to write. Default: the whole recording, or 60 of a built-in motion.
         fps: Frames per second; a network runs at its own, and the result is resampled.
@@ -163,16 +164,16 @@ class Run:
         friction_law: Friction of cloth against bodies and cloth: the paper's.
         time_integration: Rule of integration in time.
         air: Whether air drags cloth, which it does not yet.
-        environment: Gravity, air and ground: the section [environment] of a scene file.
+        environment: Gravity, air and ground; flags and entries of jobs files are the fields of `Environment`.
 
     Raises:
         InputError: a value of a wrong type or out of range, or one garment worn twice.
     """
 
     garments: tuple[WornGarment, ...] = field(default_factory=lambda: (WornGarment(),))
-    body: Annotated[str | Path | ShapedBody | AnimatedBody, Flag(BODY, "NAME|FILE", is_file=True, form="Body")] = (
-        DEFAULT_BODY
-    )
+    body: Annotated[
+        str | Path | ShapedBody | AnimatedBody | None, Flag(BODY, "NAME|FILE|none", is_file=True, form="Body")
+    ] = DEFAULT_BODY
     body_shape: Annotated[Mapping[str, float], Flag(BODY, "KEY=VALUE,..")] = field(default_factory=dict, hash=False)
     clip: Annotated[str | None, Flag(BODY, "NAME")] = None
     body_parts: Annotated[str | None, Flag(BODY, "NAME,..")] = None
@@ -204,9 +205,11 @@ class Run:
     friction_law: Annotated[Literal["paper"], _model("NAME", applies_to=STEPS)] = "paper"
     time_integration: Annotated[Literal["implicit-euler"], _model("NAME", applies_to=STEPS)] = "implicit-euler"
     air: Annotated[bool, _model(applies_to=STEPS)] = False
-    environment: Environment = USUAL
+    environment: Annotated[Environment, Flag(SCENE, applies_to=STEPS)] = USUAL
 
     def __post_init__(self) -> None:
+        if isinstance(self.body, str) and self.body == NONE:
+            object.__setattr__(self, "body", None)
         alone = isinstance(self.garments, WornGarment)
         object.__setattr__(self, "garments", (self.garments,) if alone else tuple(self.garments))
         object.__setattr__(self, "body_shape", _checked_shape(self.body_shape))
@@ -233,7 +236,8 @@ class Run:
     @property
     def led_frames(self) -> int:
         """Number of frames from the rest pose into the motion, at its own rate."""
-        return round(self.fps) if self.lead_in is None else self.lead_in
+        usual = 0 if self.body is None else round(self.fps)
+        return usual if self.lead_in is None else self.lead_in
 
     @property
     def written_frames(self) -> int | None:
@@ -281,7 +285,7 @@ class Run:
             given: value by name. `garment` is one, or a list, inner first, and replaces all garments with what belongs
                 to them; the other entries of a garment are one for all, or a list with one each, None for what stays.
                 `body` replaces what belongs to it too (shape, clip, parts, what is omitted), `motion` crop, clip,
-                recorded_fps and raw_motion.
+                recorded_fps and raw_motion. Without a body, all that is of one is left out.
             folder: folder from which relative files are found; None leaves them as they are.
 
         Raises:
@@ -300,15 +304,24 @@ class Run:
                     each if value is None else replace(each, **{name: value})
                     for each, value in zip(worn, each_one, strict=True)
                 ]
+        bodiless = "body" in values and values["body"] in (None, NONE)
+        of_bodies = [name for name, entry in described(Run).items() if entry.flag.panel in (BODY, RESEARCH)]
         belongings = {
-            "body": ("clip", "body_parts", "omitted"),
+            "body": of_bodies if bodiless else ("clip", "body_parts", "omitted"),
             "motion": ("crop", "clip", "recorded_fps", "raw_motion"),
         }
         replaced = {
-            other: getattr(Run, other) for name, others in belongings.items() if name in values for other in others
+            other: described(Run)[other].default
+            for name, others in belongings.items()
+            if name in values
+            for other in others
         }
         shape: dict[str, Any] = {"body_shape": {}} if "body" in values else {}
-        return replace(self, garments=tuple(worn), **{**replaced, **shape, **values})
+        inner: dict[str, dict[str, Any]] = {}
+        for name in [name for name in values if described(Run)[name].holder]:
+            inner.setdefault(described(Run)[name].holder, {})[name] = values.pop(name)
+        changed = {holder: replace(getattr(self, holder), **given) for holder, given in inner.items()}
+        return replace(self, garments=tuple(worn), **{**replaced, **shape, **changed, **values})
 
     def simulate(self, path: str | Path | None = None, progress: Progress | None = None) -> Trajectory:
         """Trajectory of the run; see `pb4u.simulation.run_simulation.simulate`.
@@ -348,10 +361,10 @@ class Run:
 
 
 def entries(section: str) -> tuple[str, ...]:
-    """Names of the entries of a section of a scene file: "garments", "scene" or "run".
+    """Names of the entries of a section of a scene file.
 
     Args:
-        section: "garments", "scene" or "run".
+        section: "garments" or one of `SECTIONS`.
     """
     if section == "garments":
         return tuple(described(WornGarment))
@@ -397,7 +410,10 @@ def located(name: str, value: Any, folder: Path | None) -> Any:
     return folder / value if folder is not None and isinstance(value, str) and names_file(name, value) else value
 
 
-ENTRIES = (*entries("garments"), *entries("scene"), *entries("run"))
+SECTIONS = tuple(dict.fromkeys(entry.flag.section for entry in described(Run).values()))
+"""Sections of a scene file besides those of garments."""
+
+ENTRIES = tuple(name for section in ("garments", *SECTIONS) for name in entries(section))
 """Every entry of a scene file; no two sections have one of the same name."""
 
 _OF_ARRAYS = {

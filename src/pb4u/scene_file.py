@@ -1,28 +1,25 @@
 """Scene files: a `Run` as TOML, with `[scene]`, one `[[garments]]` for each garment, `[run]` and `[environment]`.
 
-The entries are the fields of `Run` and of `WornGarment`; what is left out has its default.
+The entries are the fields of `Run`, `WornGarment` and `Environment`; what is left out has its default.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Collection, Mapping
-from dataclasses import fields
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
-from pb4u.environment import Environment
 from pb4u.errors import InputError, refuse_unknown
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.io.atomic_file import replace_file
 from pb4u.io.toml_file import read_tables
-from pb4u.run import Run, WornGarment, entries, located, names_file
+from pb4u.options import NONE, described
+from pb4u.run import SECTIONS, Run, WornGarment, entries, located, names_file
 
 FORMAT_VERSION = 1
 """Version of the scene files that are read and written."""
-
-_NO_GROUND = "none"
 
 _HEADING = """\
 # A scene of pb4u: run it with `pb4u simulate` and the name of this file.
@@ -44,13 +41,15 @@ def read_scene(path: Path) -> Run:
         raise InputError(f"There is no scene file {path}.")
     tables = read_tables(path, "a scene file")
     try:
-        require_format(tables, ("scene", "garments", "run", "environment"), FORMAT_VERSION)
+        require_format(tables, ("garments", *SECTIONS), FORMAT_VERSION)
         listed = tables.get("garments", [{}])
         if not isinstance(listed, list):
             raise InputError("Each garment is a section of its own, written [[garments]].")
         worn = tuple(WornGarment(**_section("[[garments]]", each, "garments", path.parent)) for each in listed)
-        scene, run = (_section(f"[{name}]", tables.get(name, {}), name, path.parent) for name in ("scene", "run"))
-        return Run(worn, **scene, **run, environment=_environment(tables.get("environment", {})))
+        given: dict[str, Any] = {}
+        for name in SECTIONS:
+            given |= _section(f"[{name}]", tables.get(name, {}), name, path.parent)
+        return Run(worn).with_entries(given)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -83,18 +82,15 @@ def write_scene(run: Run, path: Path) -> None:
     """
     import tomli_w
 
-    scene = {"format_version": FORMAT_VERSION, "scene": _written(run, "scene", path.parent)}
+    scene, *others = SECTIONS
+    head = {"format_version": FORMAT_VERSION, scene: _written(run, scene, path.parent)}
     worn = [_written(each, "garments", path.parent) for each in run.garments]
     # One by one: the library writes short tables of a list on a line each, where nobody finds room for an entry.
     sections = [
-        tomli_w.dumps(scene),
+        tomli_w.dumps(head),
         *map(_garment_section, worn),
-        tomli_w.dumps({"run": _written(run, "run", path.parent)}),
+        *(tomli_w.dumps({name: written}) for name in others if (written := _written(run, name, path.parent))),
     ]
-    if changed := run.environment.changed:
-        # TOML has no None.
-        around = {name: _NO_GROUND if value is None else value for name, value in changed.items()}
-        sections.append(tomli_w.dumps({"environment": around}))
     replace_file(path, (_HEADING + "\n".join(sections)).encode())
 
 
@@ -148,16 +144,15 @@ def _section(title: str, table: Any, section: str, folder: Path) -> dict[str, An
     return {name: located(name, value, folder) for name, value in found.items()}
 
 
-def _environment(table: Any) -> Environment:
-    values = dict(require_entries("[environment]", table, [each.name for each in fields(Environment)]))
-    if values.get("ground") == _NO_GROUND:
-        values["ground"] = None
-    return Environment(**values)
-
-
 def _written(record: Run | WornGarment, section: str, folder: Path) -> dict[str, Any]:
-    """What is set of a section, as TOML holds it."""
-    values = {name: getattr(record, name) for name in entries(section)}
+    """What is set of a section, as TOML holds it; of a record within the run, what is not as usual."""
+    kind: type = type(record)
+    known = {name: described(kind)[name] for name in entries(section)}
+    values = {
+        name: NONE if (value := entry.value_in(record)) is None and entry.takes_none else value
+        for name, entry in known.items()
+        if not entry.holder or entry.value_in(record) != entry.default
+    }
     return {
         name: _plain(name, value, folder)
         for name, value in values.items()

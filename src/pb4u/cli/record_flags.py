@@ -10,7 +10,7 @@ import typer
 
 from pb4u.cli.console import Switch
 from pb4u.errors import InputError
-from pb4u.options import Entry, described
+from pb4u.options import NONE, Entry, described
 
 _TYPES: Mapping[str, Any] = {"whole": int, "number": float, "file": Path, "files": list[Path], "other": list[str]}
 
@@ -30,12 +30,31 @@ def flag_of(entry: Entry) -> Any:
     Args:
         entry: the field.
     """
+    if entry.kind == "vector":
+        return Annotated[str | None, option(entry, parser=_vector)]
+    if entry.kind == "number" and entry.takes_none:
+        return Annotated[str | None, option(entry, parser=_number_or_none)]
     kind: Any = _TYPES.get(entry.kind, str)
     if entry.kind == "choice":
         kind = Literal[entry.choices]
     if entry.kind == "switch":
         kind = Switch if is_on_or_off(entry) else bool
     return Annotated[kind | None, option(entry)]
+
+
+def _vector(text: str) -> tuple[float, ...]:
+    try:
+        x, y, z = map(float, text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"it takes three numbers X,Y,Z such as 0,-1.62,0; not {text!r}.") from None
+    return x, y, z
+
+
+def _number_or_none(text: str) -> float | str:
+    try:
+        return NONE if text == NONE else float(text)
+    except ValueError:
+        raise typer.BadParameter(f"it takes a number or {NONE}; {text!r} is neither.") from None
 
 
 def is_on_or_off(entry: Entry) -> bool:
@@ -60,6 +79,8 @@ def option(entry: Entry, more: str = "", parser: Callable[[str], Any] | None = N
         shown = (
             {True: "on", False: "off"}.get(entry.default, entry.default) if entry.kind == "switch" else entry.default
         )
+        if entry.kind == "vector":
+            shown = ",".join(f"{part:g}" for part in shown)
         text += f" Default: {shown:g}." if isinstance(shown, float) else f" Default: {shown}."
     return typer.Option(
         *entry.flag.names,

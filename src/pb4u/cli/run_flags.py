@@ -11,8 +11,8 @@ import typer
 from pb4u.cli.console import BodyShape, FrameRange
 from pb4u.cli.record_flags import flag_of, is_on_or_off, option
 from pb4u.errors import InputError, refuse_unknown
-from pb4u.options import Entry, described, require_value
-from pb4u.run import BODY, GARMENT, MODEL, RESEARCH, REST, SCENE, Run, WornGarment, entries
+from pb4u.options import NONE, Entry, described, require_value
+from pb4u.run import BODY, GARMENT, MODEL, RESEARCH, REST, SCENE, SECTIONS, Run, WornGarment, entries
 
 AS_RELEASED: Mapping[str, str] = {"pb4u": "release", "hood": "hood", "mgn": "mgn", "contourcraft": "contourcraft"}
 """First frame of the released code of each method."""
@@ -132,7 +132,8 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
     for entry in described(Run).values():
         if entry.name in given and is_on_or_off(entry):
             given[entry.name] = given[entry.name] == "on"
-        if entry.name in given and entry.kind in ("whole", "number"):
+        is_none = entry.takes_none and given.get(entry.name) == NONE
+        if entry.name in given and entry.kind in ("whole", "number", "vector") and not is_none:
             require_value(entry, given[entry.name], f"--{entry.name.replace('_', '-')}")
     if "body_shape" in given:
         kept = {} if "body" in given else described_run.body_shape
@@ -142,7 +143,7 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
 
 def run_flags() -> dict[str, Any]:
     """Type of the flag of each field of a run, as typer reads it."""
-    listed = [described(Run)[name] for name in (*entries("scene"), *entries("run"))]
+    listed = [described(Run)[name] for section in SECTIONS for name in entries(section)]
     listed.sort(key=lambda entry: (SCENE, BODY, MODEL, RESEARCH).index(entry.flag.panel))
     return {
         **dict(map(_garment_flag, described(WornGarment).values())),

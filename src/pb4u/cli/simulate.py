@@ -89,8 +89,10 @@ def _default_targets(run: Run) -> list[Path]:
     from pb4u.export.video_writer import writes_mp4
     from pb4u.scene.moving_body import DEFAULT_MOTION
 
-    # A body of the user's own may be a sequence, which moves by itself.
-    moves = run.motion or (run.body if Path(str(run.body)).exists() else DEFAULT_MOTION)
+    moves: object = "alone"
+    if run.body is not None:
+        # A body of the user's own may be a sequence, which moves by itself.
+        moves = run.motion or (run.body if Path(str(run.body)).exists() else DEFAULT_MOTION)
     stem = f"{'+'.join(garment.name for garment in run.garments)}_{Path(str(moves)).stem}"
     suffixes = [".npz", ".glb", ".png", ".mp4" if writes_mp4() else ".gif"]
     return [Path(stem + suffix) for suffix in suffixes]

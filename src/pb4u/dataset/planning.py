@@ -98,7 +98,12 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
     for job in jobs:
         scene = job.run
         points, corners, own_frames = body(
-            str(scene.body), scene.clip, scene.body_parts, scene.motion is None, scene.fps, scene.recorded_fps
+            scene.body and str(scene.body),
+            scene.clip,
+            scene.body_parts,
+            scene.motion is None,
+            scene.fps,
+            scene.recorded_fps,
         )
         frames = scene.frames
         if frames is None:
@@ -117,9 +122,11 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
 
 
 def _body_counts(
-    name: str, clip: str | None, parts: str | None, alone: bool, fps: float, recorded_fps: float | None
+    name: str | None, clip: str | None, parts: str | None, alone: bool, fps: float, recorded_fps: float | None
 ) -> tuple[int, int, int | None]:
     """Vertices and faces of a body, and its frames where it moves by itself: a character does without a motion."""
+    if name is None:
+        return 0, 0, None
     body, frames = load_body_of(name, clip, parts), None
     if isinstance(body, Character):
         frames = body.available_frames(fps) if alone and body.clip is not None else None

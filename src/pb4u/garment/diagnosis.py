@@ -191,6 +191,19 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
     _tell(garment, findings)
 
 
+def require_metres(garment: Garment) -> None:
+    """Refuse a garment whose extent is that of no garment in metres.
+
+    Args:
+        garment: as it was given.
+
+    Raises:
+        InputError: it is in other units.
+    """
+    if unit := likely_unit(garment.vertices):
+        raise InputError(f"garment {garment.name} {unit}; give its vertices in metres.")
+
+
 def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
     """Refuse a garment from arrays in other units, far from the body, or wholly inside it.
 
@@ -201,8 +214,7 @@ def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
     Raises:
         InputError: its extent is that of no garment in metres, or it does not come near the resting body.
     """
-    if unit := likely_unit(garment.vertices):
-        raise InputError(f"garment {garment.name} {unit}; give its vertices in metres.")
+    require_metres(garment)
     rest = RestBody.of(body)
     inside = penetration_findings(rest.signed_distances(garment.vertices), rest, "")
     _tell(garment, [f for f in (*far_finding(garment.vertices, rest), *inside) if f.severity is Severity.REFUSED])

@@ -68,7 +68,7 @@ class JobPlanner:
         self._require_names(run)
         model = self.model(run)
         resolved = run.with_entries({"model": model.name, "device": model.device})
-        if run.motion is None and self._needs_motion(str(run.body), run.clip, run.body_parts):
+        if run.motion is None and run.body is not None and self._needs_motion(str(run.body), run.clip, run.body_parts):
             # Named, so that its label says what the body performs.
             resolved = replace(resolved, motion=DEFAULT_MOTION)
         contents = [row for value in dict.fromkeys(map(str, filter(None, resolved.files))) for row in self._read(value)]

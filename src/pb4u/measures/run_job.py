@@ -16,7 +16,7 @@ from pb4u.environment import Environment
 from pb4u.errors import InputWarning, Pb4uError
 from pb4u.jobs.job import Failure, JobPack, Made, address, attempted, require_content
 from pb4u.jobs.job_folder import FOLDER_VERSION
-from pb4u.options import described
+from pb4u.options import NONE, described
 from pb4u.run import Run, WornGarment
 
 # torch and all that needs it is imported where it is used: a worker sets its number of threads before.
@@ -118,12 +118,13 @@ class RunJob:
                 labels[entry.label] = "+".join(named(value) or unset for value in values)
             else:
                 labels[entry.label] = [_plain(value, {}) for value in values]
-        for name, entry in described(Run).items():
-            value = getattr(run, name)
+        for entry in described(Run).values():
+            value = entry.value_in(run)
             labels[entry.label] = named(value) if entry.flag.is_file else _plain(value, {})
         labels |= {
             "garment": "+".join(titles.get(str(each.garment), each.name) for each in run.garments),
-            "motion": named(run.motion) or run.clip or "own",
+            "body": named(run.body) or NONE,
+            "motion": named(run.motion) or run.clip or ("own" if run.body else NONE),
             "lead_in": run.led_frames,
             "half": self.keep == "half",
         }

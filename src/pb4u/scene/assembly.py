@@ -12,13 +12,14 @@ import numpy as np
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import PosedBody, ShapedBody
 from pb4u.environment import USUAL
-from pb4u.errors import refuse_unknown, warn
+from pb4u.errors import InputError, refuse_unknown, warn
 from pb4u.garment.corrected_placement import CorrectedPlacement
-from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
+from pb4u.garment.dressing import AttachedPlacement, Placement, PrescribedPlacement, SkinnedPlacement
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.layering import layered
 from pb4u.motion.motion import Motion
+from pb4u.options import NONE
 from pb4u.run import Run, WornGarment, entries
 from pb4u.scene.loaded_garments import load_garments
 from pb4u.scene.moving_body import perform
@@ -32,7 +33,7 @@ GarmentChoice: TypeAlias = str | Path | Garment | WornGarment
 
 def make_scene(
     garment: GarmentChoice | Sequence[GarmentChoice] = WornGarment.garment,
-    body: str | Path | ShapedBody | AnimatedBody = Run.body,
+    body: str | Path | ShapedBody | AnimatedBody | None = Run.body,
     motion: str | Path | Motion | None = None,
     **options: Any,
 ) -> Scene:
@@ -43,7 +44,7 @@ def make_scene(
     Args:
         garment: built-in name, mesh file, Garment fitted to this body at rest, or WornGarment; of several, a list,
             inner first.
-        body: built-in name, model or sequence file, or a body already loaded.
+        body: built-in name, model or sequence file, or a body already loaded; None for no body.
         motion: built-in name, file or Motion; default "walk". A body that is a sequence of vertices brings its own.
         options: fields of `Run` on the scene by name, such as body_shape, frames, lead_in, crop, fps, arms_away, seed,
             environment; and triangles, material and pins of the garments, one for all or a list with one each, which
@@ -89,7 +90,9 @@ def build_scene(run: Run, written_fps: float | None = None) -> Scene:
     collider, notes, kept = performed.body, performed.notes, run.led_frames if run.keep_lead_in else 0
     frames, lead_in = kept + performed.frames, run.led_frames - kept
     garments, specified = load_garments(run.garments, body, run.as_recorded)
-    places = layered(garments, RestBody.of(body)) if len(garments) > 1 else (None,)
+    places: Sequence[np.ndarray | None] = (None,) * len(garments)
+    if body is not None and len(garments) > 1:
+        places = layered(garments, RestBody.of(body))
     dressed = [
         DressedGarment(each, _placement(each, collider, worn)) for each, worn in zip(garments, places, strict=True)
     ]
@@ -97,11 +100,13 @@ def build_scene(run: Run, written_fps: float | None = None) -> Scene:
         written = round(kept * (written_fps or run.fps) / run.fps)
         notes = (*notes, f"The first {written} frames lead from the rest pose into the motion.")
     ground, more = _ground(run, collider, lead_in + frames)
+    if collider is None:
+        _require_above(ground, garments)
     notes = (*notes, *more)
     sources = [str(each.garment) if isinstance(each.garment, str | Path) else None for each in specified]
     return Scene(
         garments=tuple(dressed),
-        colliders=(collider,),
+        colliders=() if collider is None else (collider,),
         frames=frames,
         lead_in=lead_in,
         kept_lead_in=kept,
@@ -111,7 +116,7 @@ def build_scene(run: Run, written_fps: float | None = None) -> Scene:
         labels={
             "garment": "+".join(each.garment.name for each in dressed),
             "sources": sources,
-            "body": collider.name,
+            "body": NONE if collider is None else collider.name,
             "body_shape": dict(body.shape) if isinstance(body, ShapedBody) else {},
             "motion": performed.motion,
             "rest_shape": run.rest_shape,
@@ -120,13 +125,23 @@ def build_scene(run: Run, written_fps: float | None = None) -> Scene:
     )
 
 
-def _ground(run: Run, collider: AnimatedBody, frames: int) -> tuple[float | None, tuple[str, ...]]:
+def _require_above(ground: float | None, garments: Sequence[Garment]) -> None:
+    """Refuse garments under the `ground`, which would throw them up."""
+    for garment in garments:
+        if ground is not None and (lowest := float(garment.vertices[:, 1].min())) < ground:
+            raise InputError(
+                f"{garment.name} reaches {ground - lowest:.2f} m below the ground; raise it, or give --ground "
+                f"{lowest:.2f} or --ground {NONE}."
+            )
+
+
+def _ground(run: Run, collider: AnimatedBody | None, frames: int) -> tuple[float | None, tuple[str, ...]]:
     """Height [m] of the ground of all `frames`, and what is to be told of it."""
     usual = run.environment.ground
     if run.as_recorded and usual == USUAL.ground:
         # A recording that is played as it is stands at whatever height it has.
         return None, ()
-    if isinstance(collider, PosedBody):
+    if collider is None or isinstance(collider, PosedBody):
         # What has bones was put on the ground when its motion was made.
         return usual, ()
     lowest = min(float(collider.positions(frame, frame + 1)[..., 1].min()) for frame in range(frames))
@@ -137,8 +152,10 @@ def _ground(run: Run, collider: AnimatedBody, frames: int) -> tuple[float | None
     return lowest, (note,)
 
 
-def _placement(garment: Garment, collider: AnimatedBody, worn: np.ndarray | None) -> Placement:
-    """The garment on the moving body, at `worn` (vertices, 3) [m] where it lies over others."""
+def _placement(garment: Garment, collider: AnimatedBody | None, worn: np.ndarray | None) -> Placement:
+    """The garment on the moving body, at `worn` (vertices, 3) [m] where it lies over others; else where it is."""
+    if collider is None:
+        return PrescribedPlacement(garment.vertices[None])
     if not isinstance(collider, PosedBody):
         return AttachedPlacement(garment, collider, worn)
     if worn is None and garment.is_skinned_for(collider.body):

@@ -10,6 +10,9 @@
 4. **Tack**: vertices are sewn together. The triangles keep their shapes at rest, which no remeshing could keep.
 5. **Hold**: the pins that are asked for; else its own; else the straps, waistband or collar that are found.
 6. **Check**: what the body does not wear is refused or told of, and limbs that go through the cloth go inside it.
+
+Without a body a garment is used as its file has it: what is made on a body is refused, and the rest is not compared
+with one.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ import numpy as np
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, InputNote, refuse_unknown, warn
-from pb4u.garment.diagnosis import require_fine, require_near, require_worn
+from pb4u.garment.diagnosis import require_fine, require_metres, require_near, require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
@@ -41,11 +44,12 @@ from pb4u.garment.support import Support, find_support
 from pb4u.garment.tacks import tacked
 from pb4u.geometry.appearance import read_image
 from pb4u.geometry.mesh_file import MOST_READ
+from pb4u.options import NONE
 from pb4u.run import REST, WornGarment
 
 DEFAULT_MATERIAL = "default"
 
-Body: TypeAlias = ShapedBody | VertexSequence
+Body: TypeAlias = ShapedBody | VertexSequence | None
 
 
 def load_garments(
@@ -65,7 +69,8 @@ def load_garments(
     for worn in specified:
         garment = load_garment(worn, body)
         # A recording is replayed as its authors did, on the meshes that they did it with.
-        require_fine(garment, body, accepted=as_recorded or _is_own_count(worn, garment))
+        if body is not None:
+            require_fine(garment, body, accepted=as_recorded or _is_own_count(worn, garment))
         garments.append(garment)
     order = worn_order(garments, [each.tucked for each in specified])
     return [garments[k] for k in order], [specified[k] for k in order]
@@ -136,6 +141,7 @@ def kind_of(garment: str | Path | Garment) -> Kind:
 
 
 def _built_in(worn: WornGarment, body: Body, material: Material) -> Garment:
+    assert body is not None
     if not isinstance(body, ShapedBody):
         near = ", ".join(garment_names())
         raise InputError(
@@ -170,7 +176,8 @@ def _object(worn: WornGarment, body: Body, material: Material) -> Garment:
             f"garment {garment.name}: {len(loose)} of its {len(garment.vertices)} vertices are in no face, first "
             f"{loose[:5].tolist()}; no cloth would carry them, so leave them out."
         )
-    require_near(garment, body)
+    if body is not None:
+        require_near(garment, body)
     return garment.with_material(material) if REST in worn.materials else garment
 
 
@@ -194,8 +201,10 @@ def read(worn: WornGarment, body: Body) -> Garment:
     Raises:
         InputError: it cannot be read, or is not for this body.
     """
-    materials = dict(worn.materials)
-    garment = kind_of(worn.garment).read(worn, body, _material(materials.pop(REST, DEFAULT_MATERIAL)))
+    materials, kind = dict(worn.materials), kind_of(worn.garment)
+    if body is None and kind.is_fitted:
+        raise InputError(f"{worn.name} is made on the body that wears it, and body {NONE} has none; give a mesh file.")
+    garment = kind.read(worn, body, _material(materials.pop(REST, DEFAULT_MATERIAL)))
     refuse_unknown("part", materials, garment.parts, f"The garment {garment.name}")
     for part, material in materials.items():
         garment = garment.with_part(_material(material), garment.parts[part])
@@ -235,7 +244,10 @@ def remesh(garment: Garment, body: Body, kind: Kind, triangles: int | None) -> G
     """
     if kind.is_fitted or triangles is None:
         return garment
-    other, rest = remeshed(garment, triangles), RestBody.of(body)
+    other = remeshed(garment, triangles)
+    if body is None:
+        return other
+    rest = RestBody.of(body)
     if other.is_skinned_for(body) or not rest.is_closed or (rest.signed_distances(garment.vertices) < 0.0).any():
         return other
     if (rest.signed_distances(other.vertices) >= 0.0).all():
@@ -260,7 +272,7 @@ def hold(
     """
     if pins is not None:
         return garment.with_pins(resolve_pins(pins, garment)), None
-    if garment.pinned.any() or not kind.is_file or garment.is_skinned_for(body):
+    if body is None or garment.pinned.any() or not kind.is_file or garment.is_skinned_for(body):
         return garment, None
     support = find_support(garment.vertices, garment.faces, RestBody.of(body))
     if support.held is None:
@@ -286,6 +298,9 @@ def check(garment: Garment, body: Body, kind: Kind, support: Support | None, fil
     Raises:
         InputError: the body does not wear it.
     """
+    if body is None:
+        require_metres(garment)
+        return garment
     if kind.is_fitted or garment.is_skinned_for(body):
         return garment
     if kind.is_file:

@@ -18,7 +18,8 @@ from pb4u.motion.lead_in import arms_held_off, lead_in as prepend_lead_in
 from pb4u.motion.library import AS_RECORDED, load_motion
 from pb4u.motion.motion import Motion, MotionAsRecorded
 from pb4u.motion.steadying import CUTOFF
-from pb4u.run import Run
+from pb4u.options import NONE, described
+from pb4u.run import BODY, RESEARCH, Run
 
 DEFAULT_FRAMES = 60
 """Frames written of a motion without end by default: two seconds at 30 frames per second."""
@@ -31,20 +32,20 @@ class Performance:
     """A body in motion.
 
     Args:
-        body: the moving body, lead-in included.
+        body: the moving body, lead-in included; None where the scene has none.
         frames: frames that are there to write.
         motion: name of what it performs.
         notes: plain sentences on what was changed or ignored.
     """
 
-    body: AnimatedBody
+    body: AnimatedBody | None
     frames: int
     motion: str
     notes: tuple[str, ...] = ()
 
 
-def perform(run: Run) -> tuple[ShapedBody | VertexSequence, Performance]:
-    """The body of a run as garments are fitted to it, and in motion; warns of what does not fit.
+def perform(run: Run) -> tuple[ShapedBody | VertexSequence | None, Performance]:
+    """The body of a run as garments are fitted to it, and in motion, or none; warns of what does not fit.
 
     Args:
         run: says which body, in what shape, and what it performs.
@@ -52,11 +53,21 @@ def perform(run: Run) -> tuple[ShapedBody | VertexSequence, Performance]:
     Raises:
         InputError: body or motion cannot be used, or not together.
     """
+    if run.body is None:
+        return None, _nobody(run)
     recording = _recording(run) if run.as_recorded else None
     body = _load_body(run, recording)
     if not isinstance(body, ShapedBody):
         return body, _play(body, run)
     return body, _perform(body, run) if recording is None else _replay(body, recording, run)
+
+
+def _nobody(run: Run) -> Performance:
+    """A scene without a body, of which nothing of a body can be asked."""
+    for name, entry in described(Run).items():
+        if entry.flag.panel in (BODY, RESEARCH) and name != "body" and getattr(run, name) not in (entry.default, {}, 0):
+            raise InputError(f"{name.replace('_', '-')} is of a body, and body {NONE} has none; leave it out.")
+    return Performance(None, run.frames or DEFAULT_FRAMES, NONE)
 
 
 def _recording(run: Run) -> MotionAsRecorded:

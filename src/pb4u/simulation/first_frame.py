@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from pb4u.collision.jit import as_float64
 from pb4u.garment.tangles import untangled_start
@@ -62,6 +63,15 @@ def untangled(timeline: Timeline, method: StepMethod, state: State) -> State:
     return replace(state, positions=torch.from_numpy(np.concatenate(free)).to(state.positions))
 
 
+def _falls(timeline: Timeline) -> Tensor:
+    """Vertices (vertices,) bool of the worlds in which there is neither a body nor a pin."""
+    garments = timeline.garments
+    held = torch.zeros(garments.world_count, dtype=torch.bool, device=garments.vertex_world.device)
+    held[timeline.colliders.vertex_world] = True
+    held[garments.vertex_world[garments.pinned]] = True
+    return ~held[garments.vertex_world]
+
+
 class AsPlaced(FirstFrame):
     """The garments where their placement puts them, such as cloth about to fall; untangled where cloth feels cloth."""
 
@@ -84,12 +94,15 @@ class OneLongStep(FirstFrame):
             )
             step = timeline.settling_from(pushed)
         settled, last_move = take(step, method)
-        yield Taken(replace(begun, positions=settled.positions), last_move)
+        positions = torch.where(_falls(timeline)[:, None], begun.positions, settled.positions)
+        yield Taken(replace(begun, positions=positions), last_move)
 
 
 @dataclass(frozen=True)
 class Settled(FirstFrame):
     """Settling by the solver: long steps from rest, until one moves no garment by more than `still`.
+
+    A world without a body and without pins has nothing to settle on, and begins as placed.
 
     Args:
         still: rms displacement of one settling step [m] at which a garment counts as settled, and all have to be.
@@ -107,14 +120,15 @@ class Settled(FirstFrame):
         refinement = SolverRefinement(method.potential, self.iterations, self.solver)
         settling = StepMethod(refinement=refinement, contact=method.contact, potential=method.potential)
         begun = state = AsPlaced().start(timeline, method).state
-        owner = timeline.garments.vertex_garment
+        owner, falls = timeline.garments.vertex_garment, _falls(timeline)
         for _ in range(self.most_steps):
             settled = take(timeline.settling_from(state), settling).state
-            moves = (settled.positions - state.positions).square().sum(1)
+            positions = torch.where(falls[:, None], begun.positions, settled.positions)
+            moves = (positions - state.positions).square().sum(1)
             moved = max(
                 float(moves[owner == number].mean().sqrt()) for number in range(timeline.garments.garment_count)
             )
-            state = replace(begun, positions=settled.positions)
+            state = replace(begun, positions=positions)
             if moved <= self.still:
                 break
         yield Taken(state)
