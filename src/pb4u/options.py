@@ -191,7 +191,7 @@ def _fits(entry: Entry, value: Any) -> bool:
     if not (is_whole(value) if entry.kind == "whole" else _is_finite(value)):
         return False
     least, most = entry.flag.least, entry.flag.most
-    return (least is None or value >= least) and (most is None or value <= most)  # type: ignore[operator]
+    return (least is None or value >= least) and (most is None or value <= most)
 
 
 def _wanted(entry: Entry) -> str:
