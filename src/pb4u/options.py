@@ -108,7 +108,7 @@ def described(record: type) -> Mapping[str, Entry]:
     Args:
         record: a dataclass whose docstring says what each field is.
     """
-    texts, hints = _texts(record), get_type_hints(record, include_extras=True)
+    texts, hints = argument_texts(record), get_type_hints(record, include_extras=True)
     found = {}
     for each in fields(record):
         hint = hints[each.name]
@@ -136,9 +136,13 @@ _KINDS: dict[Any, str] = {
 }  # fmt: skip
 
 
-def _texts(record: type) -> dict[str, str]:
-    """The text of each argument in the docstring of a record."""
-    part = re.search(r"^Args:\n(.*?)(?:^\w|\Z)", inspect.getdoc(record) or "", re.MULTILINE | re.DOTALL)
+def argument_texts(documented: object) -> dict[str, str]:
+    """The text of each argument in a docstring, by name.
+
+    Args:
+        documented: a record or a function.
+    """
+    part = re.search(r"^Args:\n(.*?)(?:^\w|\Z)", inspect.getdoc(documented) or "", re.MULTILINE | re.DOTALL)
     found = re.findall(r"^    (\w+): (.*?)(?=^    \w|\Z)", part[1] if part else "", re.MULTILINE | re.DOTALL)
     return {name: " ".join(text.split()) for name, text in found}
 

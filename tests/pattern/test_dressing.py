@@ -257,11 +257,11 @@ def test_the_body_fills_out_from_straight_arms_to_its_rest(body):
 def test_a_dressed_garment_is_checked_and_planned_by_its_own_triangles(dressed, body, tmp_path, cache):
     file = tmp_path / "skirt.npz"
     write_worn(file, dressed, body)
-    check(str(file), json=str(tmp_path / "found.json"))
+    check(file=str(file), json=str(tmp_path / "found.json"))
     found = json.loads((tmp_path / "found.json").read_text())["garment"]
     assert (found["refused"], found["held_by"]) == (False, "waistband")
     with pytest.raises(InputError, match="--fix"):
-        check(str(file), fix=tmp_path / "mended.obj")
+        check(file=str(file), fix=tmp_path / "mended.obj")
     job = JobPlanner().job(Run((WornGarment(str(file)),), frames=10, lead_in=0))
     own, twice = footprints([job, replace(job, run=job.run.with_entries({"triangles": 2 * len(dressed.mesh.faces)}))])
     assert own < twice

@@ -16,6 +16,7 @@ from pb4u.cli.console import (
     Verbs,
     check_json_target,
     tell,
+    verb,
     write_json,
 )
 from pb4u.errors import InputError, refuse_unknown
@@ -117,34 +118,29 @@ def _material_line(material: Material) -> str:
 
 
 @group.command("write", cls=Verb)
+@verb()
 def write(
-    name: Annotated[
-        str,
-        typer.Argument(
-            help="Name of a built-in garment, body, motion or material, or a file of a body, written at rest.",
-            show_default=False,
-        ),
-    ],
-    out: Annotated[
-        Path,
-        typer.Argument(
-            help="OBJ for garments and bodies, JSON for materials, NPZ for motions: the body that performs one, which "
-            "`pb4u simulate` takes as --body.",
-            show_default=False,
-        ),
-    ],
-    body: Annotated[
-        str, typer.Option(help="Body that a garment is cut for, or that performs a motion.")
-    ] = DEFAULT_BODY,
+    name: str,
+    out: Path,
+    body: str = DEFAULT_BODY,
     body_shape: ShapeFlag = None,
-    triangles: Annotated[int | None, typer.Option(help="Triangles of a garment.")] = None,
-    frames: Annotated[int, typer.Option(help="Frames of a motion.")] = 60,
-    fps: Annotated[float, typer.Option(help="Frames per second of a motion.")] = 30.0,
+    triangles: int | None = None,
+    frames: int = 60,
+    fps: float = 30.0,
     json: JsonFlag = None,
 ) -> None:
     """Write one built-in asset, or a body of your own at rest, to a file.\f
 
-    Each argument is described by its `help`.
+    Args:
+        name: Name of a built-in garment, body, motion or material, or a file of a body, written at rest.
+        out: OBJ for garments and bodies, JSON for materials, NPZ for motions: the body that performs one, which
+            `pb4u simulate` takes as --body.
+        body: Body that a garment is cut for, or that performs a motion.
+        body_shape: shape of the body.
+        triangles: Triangles of a garment.
+        frames: Frames of a motion.
+        fps: Frames per second of a motion.
+        json: file for the result.
 
     Raises:
         InputError: there is no such asset, or the file cannot be written or has the wrong suffix for its kind.
@@ -220,24 +216,22 @@ def _write_material(name: str, out: Path) -> dict[str, Any]:
 
 
 @group.command("pack", cls=Verb)
+@verb()
 def pack(
-    out: Annotated[Path, typer.Argument(help="The .npz to write.", show_default=False)],
-    preset: Annotated[
-        str, typer.Option(help="Training whose data is packed; `pb4u train --help` lists them.")
-    ] = "small",
-    recordings: Annotated[
-        Path | None,
-        typer.Option(help="Folder of recordings to pack as well, as for `pb4u train`."),
-    ] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Replace a field of the preset, as in data.shapes=8."),
-    ] = None,
+    out: Path,
+    preset: str = "small",
+    recordings: Path | None = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE")] = None,
     json: JsonFlag = None,
 ) -> None:
     """Write what a training machine needs: it then needs torch, numpy and safetensors only.\f
 
-    Each argument is described by its `help`.
+    Args:
+        out: The .npz to write.
+        preset: Training whose data is packed; `pb4u train --help` lists them.
+        recordings: Folder of recordings to pack as well, as for `pb4u train`.
+        set_: Replace a field of the preset, as in data.shapes=8.
+        json: file for the result.
 
     Raises:
         InputError: the file cannot be written or is no .npz, or a preset, a setting or a recording cannot be used.

@@ -17,6 +17,7 @@ from pb4u.cli.console import (
     pool_of,
     say,
     tell,
+    verb,
     write_json,
 )
 from pb4u.errors import Pb4uError
@@ -28,32 +29,18 @@ _NOTES_TOLD = 5
 """Notes of the clips that are printed, the most frequent first; the index has all."""
 
 
+@verb()
 def batch(
-    jobs: Annotated[
-        Path,
-        typer.Argument(
-            metavar="JOBS.toml",
-            help="What to make: [fixed] entries of scene files, lists in [product] of which every combination is a "
-            "clip, and [[clips]] one by one.",
-            show_default=False,
-        ),
-    ],
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the dataset.", show_default=False)],
+    jobs: Annotated[Path, typer.Argument(metavar="JOBS.toml")],
+    out: Annotated[Path, typer.Option(metavar="FOLDER")],
     workers: WorkersFlag = 1,
     ray: RayFlag = None,
-    format: Annotated[
-        Literal["folder", "webdataset"],
-        typer.Option("--format", help="A folder of trajectories, or tar files of many as WebDataset reads them."),
-    ] = "folder",
-    clips_per_shard: Annotated[int, typer.Option(metavar="N", help="Clips in one tar file.")] = 500,
-    half: Annotated[
-        bool, typer.Option("--half", help="Keep trajectories in half precision: half the size, good to 0.25 mm.")
-    ] = False,
-    most_clips: Annotated[
-        int | None, typer.Option(metavar="N", help="Clips that one file may describe. Default: 100,000.")
-    ] = None,
-    plan: Annotated[bool, typer.Option("--plan", help="Say what it takes on the disk, and make nothing.")] = False,
-    retry: Annotated[bool, typer.Option("--retry", help="Try clips again that failed before.")] = False,
+    format: Literal["folder", "webdataset"] = "folder",
+    clips_per_shard: Annotated[int, typer.Option(metavar="N")] = 500,
+    half: Annotated[bool, typer.Option("--half")] = False,
+    most_clips: Annotated[int | None, typer.Option(metavar="N")] = None,
+    plan: Annotated[bool, typer.Option("--plan")] = False,
+    retry: Annotated[bool, typer.Option("--retry")] = False,
     json: JsonFlag = None,
 ) -> None:
     """Make a dataset: many clips with an index of every label and metric.
@@ -61,7 +48,19 @@ def batch(
     A command that was killed at any instant goes on where it stopped when it is given again. A longer jobs file with
     the same --out adds to it.\f
 
-    Each argument is described by its `help`.
+    Args:
+        jobs: What to make: [fixed] entries of scene files, lists in [product] of which every combination is a clip, and
+            [[clips]] one by one.
+        out: Folder of the dataset.
+        workers: number of processes.
+        ray: address of a Ray cluster.
+        format: A folder of trajectories, or tar files of many as WebDataset reads them.
+        clips_per_shard: Clips in one tar file.
+        half: Keep trajectories in half precision: half the size, good to 0.25 mm.
+        most_clips: Clips that one file may describe. Default: 100,000.
+        plan: Say what it takes on the disk, and make nothing.
+        retry: Try clips again that failed before.
+        json: file for the result.
 
     Raises:
         InputError: a number is out of range, or something is unknown or unusable.

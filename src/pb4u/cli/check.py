@@ -16,49 +16,40 @@ from pb4u.cli.console import (
     ShapeFlag,
     check_json_target,
     keep_inputs,
+    verb,
     write_json,
 )
 from pb4u.errors import InputError, InputWarning, Pb4uError, warn
 from pb4u.io.atomic_file import check_writable
 
 
+@verb()
 def check(
-    file: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="GARMENT",
-            help="Built-in garment, mesh file, sewing pattern or FILE.pkl:NAME of a dictionary; the same as --garment.",
-            show_default=False,
-        ),
-    ] = None,
-    garment: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="Built-in garment, mesh file, sewing pattern or FILE.pkl:NAME of a dictionary. Repeatable, inner "
-            "first: then also where they cross each other.",
-        ),
-    ] = None,
-    body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body that is to wear it.")] = DEFAULT_BODY,
+    file: Annotated[str | None, typer.Argument(metavar="GARMENT")] = None,
+    garment: Annotated[list[str] | None, typer.Option(metavar="NAME|FILE")] = None,
+    body: Annotated[str, typer.Option(metavar="NAME|FILE")] = DEFAULT_BODY,
     body_shape: ShapeFlag = None,
-    motion: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE", help="Motion to read and retarget as well.", show_default=False)
-    ] = None,
+    motion: Annotated[str | None, typer.Option(metavar="NAME|FILE")] = None,
     crop: CropFlag = None,
-    triangles: Annotated[int | None, typer.Option(help="Triangles of a built-in garment or a pattern.")] = None,
-    fix: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="OUT.obj", help="Write the garment with all mended that is safe to mend, to a file of its own."
-        ),
-    ] = None,
+    triangles: int | None = None,
+    fix: Annotated[Path | None, typer.Option(metavar="OUT.obj")] = None,
     json: JsonFlag = None,
 ) -> None:
     """Diagnose a garment (and a body and a motion) before simulating; each fault with its fix.
 
     Ends with exit code 1 when simulation would refuse the garment: as it was given, or with --fix as it was mended.\f
 
-    Each argument is described by its `help`.
+    Args:
+        file: Built-in garment, mesh file, sewing pattern or FILE.pkl:NAME of a dictionary; the same as --garment.
+        garment: Built-in garment, mesh file, sewing pattern or FILE.pkl:NAME of a dictionary. Repeatable, inner first:
+            then also where they cross each other.
+        body: Body that is to wear it.
+        body_shape: shape of the body.
+        motion: Motion to read and retarget as well.
+        crop: frames of the recording.
+        triangles: Triangles of a built-in garment or a pattern.
+        fix: Write the garment with all mended that is safe to mend, to a file of its own.
+        json: file for the result.
 
     Raises:
         InputError: the arguments contradict each other, or a file cannot be read or written.

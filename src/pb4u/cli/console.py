@@ -5,9 +5,10 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, get_args, get_origin
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -17,6 +18,7 @@ from pb4u.export.registry import is_same_file, would_overwrite, written_files
 from pb4u.io.atomic_file import check_writable, json_text, replace_file
 from pb4u.io.companions import with_companions
 from pb4u.io.mtl_file import is_written_with
+from pb4u.options import argument_texts
 from pb4u.scene_file import named_file
 
 if TYPE_CHECKING:
@@ -73,22 +75,23 @@ class Verbs(_Switches, TyperGroup):
         return super().resolve_command(ctx, args)
 
 
-def with_flags(**groups: Mapping[str, Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Makes a verb of a function, with a flag for each of a group in the place of one argument.
+def verb(**groups: Mapping[str, Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Makes a verb of a function: the text of an argument in its docstring is the help of its flag.
 
     Args:
-        groups: by name of the argument, the type of each flag as typer reads it. The argument takes what was given by
-            name of the flag, None where nothing was.
+        groups: by name of an argument that stands for several flags, the type of each as typer reads it. The argument
+            takes what was given by name of the flag, None where nothing was.
     """
 
     def made(command: Callable[..., None]) -> Callable[..., None]:
-        parameters = []
+        parameters, texts = [], argument_texts(command)
         for own in inspect.signature(command, eval_str=True).parameters.values():
-            flags = groups.get(own.name)
+            flags = groups.get(own.name) or {own.name: _with_help(own, texts.get(own.name))}
+            default = None if own.name in groups else own.default
             parameters += [
-                inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
-                for name, kind in (flags or {}).items()
-            ] or [own.replace(kind=inspect.Parameter.KEYWORD_ONLY)]
+                inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+                for name, kind in flags.items()
+            ]
 
         def call(**given: Any) -> None:
             gathered = {argument: {name: given.pop(name) for name in flags} for argument, flags in groups.items()}
@@ -100,6 +103,18 @@ def with_flags(**groups: Mapping[str, Any]) -> Callable[[Callable[..., None]], C
         return call
 
     return made
+
+
+def _with_help(own: inspect.Parameter, text: str | None) -> Any:
+    """Type of an argument as typer reads it, with its text as help where it has no other."""
+    is_told = get_origin(own.annotation) is Annotated
+    kind, offered = get_args(own.annotation)[:2] if is_told else (own.annotation, None)
+    if offered is None:
+        offered = typer.Argument() if own.default is inspect.Parameter.empty else typer.Option()
+    elif offered.help is None:
+        offered = copy(offered)
+    offered.help = offered.help or text
+    return Annotated[kind, offered]
 
 
 def say(sentence: str) -> None:

@@ -7,41 +7,27 @@ from typing import Annotated
 
 import typer
 
-from pb4u.cli.console import JsonFlag, check_json_target, keep_inputs, tell
+from pb4u.cli.console import JsonFlag, check_json_target, keep_inputs, tell, verb
 from pb4u.errors import InputError
 from pb4u.io.atomic_file import check_writable
 
 
+@verb()
 def convert_weights(
-    checkpoint: Annotated[
-        Path,
-        typer.Argument(
-            metavar="IN.pth",
-            help="Checkpoint of Pb4U-GNet, HOOD or ContourCraft; nothing in it is run.",
-            show_default=False,
-        ),
-    ],
-    out: Annotated[
-        Path, typer.Argument(metavar="OUT.safetensors", help="File to write, for --model.", show_default=False)
-    ],
-    method: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Network preset of the checkpoint, such as release_hood. Default: found from its settings and keys.",
-        ),
-    ] = None,
-    licence: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SPDX", help='Licence of the weights, kept with them. Default: "unknown: ask the author".'
-        ),
-    ] = None,
+    checkpoint: Annotated[Path, typer.Argument(metavar="IN.pth")],
+    out: Annotated[Path, typer.Argument(metavar="OUT.safetensors")],
+    method: Annotated[str | None, typer.Option(metavar="NAME")] = None,
+    licence: Annotated[str | None, typer.Option(metavar="SPDX")] = None,
     json: JsonFlag = None,
 ) -> None:
     """Convert a .pth of the released Pb4U-GNet, MeshGraphNet, HOOD or ContourCraft, number by number.\f
 
-    Each argument is described by its `help`.
+    Args:
+        checkpoint: Checkpoint of Pb4U-GNet, HOOD or ContourCraft; nothing in it is run.
+        out: File to write, for --model.
+        method: Network preset of the checkpoint, such as release_hood. Default: found from its settings and keys.
+        licence: Licence of the weights, kept with them. Default: "unknown: ask the author".
+        json: file for the result.
 
     Raises:
         InputError: the file is none of theirs, damaged, or holds something unexpected; nothing is written then.

@@ -16,6 +16,7 @@ from pb4u.cli.console import (
     check_json_target,
     keep_inputs,
     say,
+    verb,
     write_json,
 )
 from pb4u.errors import InputError
@@ -24,31 +25,27 @@ from pb4u.io.atomic_file import check_writable
 _KINDS = (".npz", ".obj", ".json", ".svg", ".png")
 
 
+@verb()
 def dress(
-    pattern: Annotated[
-        Path,
-        typer.Argument(
-            metavar="PATTERN",
-            help="Sewing pattern: GarmentCode's .json, a .toml that names an SVG and its seams, or a dressed garment.",
-        ),
-    ],
-    out: Annotated[
-        list[Path],
-        typer.Option(
-            metavar="FILE",
-            help="Repeatable. .npz: the dressed garment with its pattern, for --garment; .obj: its mesh, UVs the "
-            "pattern; .json: the pattern; .svg, .png: a picture of the pattern.",
-        ),
-    ],
-    body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body that wears it.")] = DEFAULT_BODY,
+    pattern: Annotated[Path, typer.Argument(metavar="PATTERN")],
+    out: Annotated[list[Path], typer.Option(metavar="FILE")],
+    body: Annotated[str, typer.Option(metavar="NAME|FILE")] = DEFAULT_BODY,
     body_shape: ShapeFlag = None,
-    triangles: Annotated[int, typer.Option(help="Triangles of the garment.")] = 5000,
-    material: Annotated[str, typer.Option(metavar="NAME|FILE", help="Cloth that it is sewn of.")] = "default",
+    triangles: int = 5000,
+    material: Annotated[str, typer.Option(metavar="NAME|FILE")] = "default",
     json: JsonFlag = None,
 ) -> None:
     """Sew a pattern around a body, and let it hang.\f
 
-    Each argument is described by its `help`.
+    Args:
+        pattern: Sewing pattern: GarmentCode's .json, a .toml that names an SVG and its seams, or a dressed garment.
+        out: Repeatable. .npz: the dressed garment with its pattern, for --garment; .obj: its mesh, UVs the pattern;
+            .json: the pattern; .svg, .png: a picture of the pattern.
+        body: Body that wears it.
+        body_shape: shape of the body.
+        triangles: Triangles of the garment.
+        material: Cloth that it is sewn of.
+        json: file for the result.
 
     Raises:
         InputError: the pattern cannot be sewn or put on this body, or a file cannot be read or written.

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pb4u.cli.console import RayFlag, WorkersFlag, check_json_target, keep_inputs, pool_of, say, tell, with_flags
+from pb4u.cli.console import RayFlag, WorkersFlag, check_json_target, keep_inputs, pool_of, say, tell, verb
 from pb4u.cli.record_flags import given_values, record_flags
 from pb4u.errors import InputError, Pb4uError
 from pb4u.export.registry import is_same_file
@@ -18,27 +18,30 @@ from pb4u.paper.evaluation_request import EvaluationRequest
 from pb4u.progress import announced
 
 
-@with_flags(request=record_flags(EvaluationRequest))
+@verb(request=record_flags(EvaluationRequest))
 def evaluate(
     *,
     request: Mapping[str, Any],
     workers: WorkersFlag = 1,
     ray: RayFlag = None,
-    retry: Annotated[bool, typer.Option("--retry", help="Try rollouts again that failed before.")] = False,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of the run. Default: evaluate_PROTOCOL.")
-    ] = None,
-    plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Also put the plots into this folder.")] = None,
-    json: Annotated[
-        str | None, typer.Option(metavar="FILE|-", help="Also write results.json there; '-' is standard output.")
-    ] = None,
+    retry: Annotated[bool, typer.Option("--retry")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
+    plots: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
+    json: Annotated[str | None, typer.Option(metavar="FILE|-")] = None,
 ) -> None:
     """Run a protocol of the paper: tables and plots, beside the paper's own figures.
 
     A command that was killed at any instant goes on where it stopped when it is given again. Other flags with the same
     --out narrow or extend it. The resolution protocol without flags is 512 rollouts, most of a day on two cores.\f
 
-    Each argument is described by its `help`; `request` are the fields of `EvaluationRequest`.
+    Args:
+        request: the fields of `EvaluationRequest`.
+        workers: number of processes.
+        ray: address of a Ray cluster.
+        retry: Try rollouts again that failed before.
+        out: Folder of the run. Default: evaluate_PROTOCOL.
+        plots: Also put the plots into this folder.
+        json: Also write results.json there; '-' is standard output.
 
     Raises:
         InputError: a number is out of range, or something is unknown or unusable.

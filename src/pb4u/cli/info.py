@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pb4u.cli.console import JsonFlag, check_json_target, write_json
+from pb4u.cli.console import JsonFlag, check_json_target, verb, write_json
 
 _EXTRAS = {
     "anny": "anny",
@@ -25,18 +25,14 @@ _EXTRAS = {
 _OF_EXTRAS = {"ffmpeg": ' (H.264 videos; its program is under the GPL, so "all" leaves it out)'}
 
 
-def info(
-    model: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="Also describe a network: what it is, its size, training and licence.",
-            show_default=False,
-        ),
-    ] = None,
-    json: JsonFlag = None,
-) -> None:
-    """Show versions, the device, threads and which optional parts are installed."""
+@verb()
+def info(model: Annotated[str | None, typer.Option(metavar="NAME|FILE")] = None, json: JsonFlag = None) -> None:
+    """Show versions, the device, threads and which optional parts are installed.\f
+
+    Args:
+        model: Also describe a network: what it is, its size, training and licence.
+        json: file for the result.
+    """
     check_json_target(json)
     found = gather()
     if model is not None:

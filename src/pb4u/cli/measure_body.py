@@ -8,20 +8,25 @@ from typing import Annotated
 import typer
 
 from pb4u.body.built_in import DEFAULT_BODY
-from pb4u.cli.console import BodyShape, JsonFlag, ShapeFlag, check_json_target, keep_inputs, tell
+from pb4u.cli.console import BodyShape, JsonFlag, ShapeFlag, check_json_target, keep_inputs, tell, verb
 from pb4u.errors import InputError
 from pb4u.io.atomic_file import check_writable
 
 
+@verb()
 def measure_body(
-    out: Annotated[Path, typer.Option(metavar="FILE.yaml", help="GarmentCode body file to write.")],
-    body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body to measure.")] = DEFAULT_BODY,
+    out: Annotated[Path, typer.Option(metavar="FILE.yaml")],
+    body: Annotated[str, typer.Option(metavar="NAME|FILE")] = DEFAULT_BODY,
     body_shape: ShapeFlag = None,
     json: JsonFlag = None,
 ) -> None:
     """Measure a body for GarmentCode: 26 lengths and angles [cm, degrees].\f
 
-    Each argument is described by its `help`.
+    Args:
+        out: GarmentCode body file to write.
+        body: Body to measure.
+        body_shape: shape of the body.
+        json: file for the result.
 
     Raises:
         InputError: the body has no bones, or a file cannot be read or written.

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
+from pb4u.cli.record_flags import record_flags
 from pb4u.errors import InputError
 from pb4u.export.registry import check_view, is_drawn
+from pb4u.options import Flag
 
 if TYPE_CHECKING:
     from pb4u.export.shading import Colour
@@ -19,28 +20,29 @@ if TYPE_CHECKING:
 _PANEL = "Pictures and videos"
 
 
-def _flag(kind: Any, help: str, metavar: str | None = None) -> Any:
-    return Annotated[kind, typer.Option(metavar=metavar, help=help, rich_help_panel=_PANEL)]
+@dataclass(frozen=True)
+class PictureRequest:
+    """The look of pictures as flags give it.
+
+    Args:
+        view: Where pictures are seen from: front, back, left, right, or an angle about the vertical. Default: 25.
+        elevation: Angle of the camera above the ground, 0 to 90. Default: 8.
+        turntable: Turn of the camera over the whole clip, as 360. Default: 0.
+        size: Size of a picture in pixels. Default: 560x800.
+        colour: Colour of the innermost garment in pictures, as a name or #RRGGBB; given again, of the next. Default:
+            blue.
+        background: Colour behind and below them, as a name or #RRGGBB. Default: light grey.
+    """
+
+    view: Annotated[str | None, Flag(_PANEL, "SIDE|DEGREES")] = None
+    elevation: Annotated[float | None, Flag(_PANEL, "DEGREES")] = None
+    turntable: Annotated[float | None, Flag(_PANEL, "DEGREES")] = None
+    size: Annotated[str | None, Flag(_PANEL, "WIDTHxHEIGHT")] = None
+    colour: Annotated[Sequence[str], Flag(_PANEL, "NAME|#RRGGBB")] = ()
+    background: Annotated[str | None, Flag(_PANEL, "NAME|#RRGGBB")] = None
 
 
-PICTURE_FLAGS: Mapping[str, Any] = {
-    "view": _flag(
-        str | None,
-        "Where pictures are seen from: front, back, left, right, or an angle about the vertical. Default: 25.",
-        "SIDE|DEGREES",
-    ),
-    "elevation": _flag(float | None, "Angle of the camera above the ground, 0 to 90. Default: 8.", "DEGREES"),
-    "turntable": _flag(float | None, "Turn of the camera over the whole clip, as 360. Default: 0.", "DEGREES"),
-    "size": _flag(str | None, "Size of a picture in pixels. Default: 560x800.", "WIDTHxHEIGHT"),
-    "colour": _flag(
-        list[str] | None,
-        "Colour of the innermost garment in pictures, as a name or #RRGGBB; given again, of the next. Default: blue.",
-        "NAME|#RRGGBB",
-    ),
-    "background": _flag(
-        str | None, "Colour behind and below them, as a name or #RRGGBB. Default: light grey.", "NAME|#RRGGBB"
-    ),
-}
+PICTURE_FLAGS = record_flags(PictureRequest)
 
 
 def view_of(targets: Sequence[Path], given: Mapping[str, Any]) -> View | None:

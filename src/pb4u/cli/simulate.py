@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pb4u.cli.console import check_json_target, keep_inputs, say, with_flags, write_json, wrote
+from pb4u.cli.console import check_json_target, keep_inputs, say, verb, write_json, wrote
 from pb4u.cli.outputs import OUTPUT_FLAGS, Outputs
 from pb4u.cli.picture_flags import PICTURE_FLAGS, view_of
 from pb4u.cli.record_flags import given_values
@@ -30,17 +30,9 @@ if TYPE_CHECKING:
     from pb4u.simulation.simulator import RunRecord, Simulator
 
 
-@with_flags(flags=run_flags(), outputs=OUTPUT_FLAGS, picture=PICTURE_FLAGS)
+@verb(flags=run_flags(), outputs=OUTPUT_FLAGS, picture=PICTURE_FLAGS)
 def simulate(
-    scene: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="SCENE.toml",
-            help="Scene file to run, as --save-scene writes it. Flags win over it: --garment replaces all its garments "
-            "with their materials, pins and triangles, --body its shape and clip too, --motion crop and clip.",
-            show_default=False,
-        ),
-    ] = None,
+    scene: Annotated[Path | None, typer.Argument(metavar="SCENE.toml")] = None,
     *,
     flags: Mapping[str, Any],
     outputs: Mapping[str, Any],
@@ -48,8 +40,12 @@ def simulate(
 ) -> None:
     """Simulate garments on a moving body. Without options: the T-shirt on a walk, animated, in this folder.\f
 
-    Each argument is described by its `help`; `flags` are the fields of `Run`, `outputs` those of
-    `Outputs`, `picture` those of pictures.
+    Args:
+        scene: Scene file to run, as --save-scene writes it. Flags win over it: --garment replaces all its garments with
+            their materials, pins and triangles, --body its shape and clip too, --motion crop and clip.
+        flags: the fields of `Run`.
+        outputs: the fields of `Outputs`.
+        picture: the fields of `PictureRequest`.
 
     Raises:
         InputError: the arguments contradict each other, or something they name is unknown or unusable.

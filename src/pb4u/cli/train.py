@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pb4u.cli.console import JsonFlag, check_json_target, keep_inputs, tell, with_flags
+from pb4u.cli.console import JsonFlag, check_json_target, keep_inputs, tell, verb
 from pb4u.cli.record_flags import given_values, record_flags
 from pb4u.training.request import TrainingRequest
 
 
-@with_flags(request=record_flags(TrainingRequest))
+@verb(request=record_flags(TrainingRequest))
 def train(*, request: Mapping[str, Any], json: JsonFlag = None) -> None:
     """Train a network. After a kill, --resume goes on from the last checkpoint; an interrupt saves and ends."""
     from pb4u.training.session import train as run

@@ -17,7 +17,7 @@ from pb4u.cli.console import (
     keep_inputs,
     say,
     tell,
-    with_flags,
+    verb,
     wrote,
 )
 from pb4u.cli.outputs import FORMATS, OUTPUT_FLAGS
@@ -25,35 +25,30 @@ from pb4u.cli.picture_flags import PICTURE_FLAGS, view_of
 from pb4u.progress import progress_bar
 
 
-@with_flags(glb={"bones": OUTPUT_FLAGS["bones"]}, picture=PICTURE_FLAGS)
+@verb(glb={"bones": OUTPUT_FLAGS["bones"]}, picture=PICTURE_FLAGS)
 def convert(
-    trajectory: Annotated[
-        Path,
-        typer.Argument(
-            help="Trajectory .npz written by `pb4u simulate`, or a result .pkl of HOOD's family.", show_default=False
-        ),
-    ],
-    out: Annotated[Path, typer.Argument(help=f"File to write: {FORMATS}", show_default=False)],
-    every: Annotated[int, typer.Option(help="Keep every N-th frame; the frame rate is divided by N.")] = 1,
-    range_: Annotated[
-        FrameRange | None,
-        typer.Option(
-            "--range",
-            parser=FrameRange.parse,
-            metavar="A:B",
-            help="First frame and the frame after the last, counted from 0.",
-        ),
-    ] = None,
-    on: Annotated[
-        Literal["simulated", "source"],
-        typer.Option(help="The simulated mesh, or the author's own with its vertex order, polygons and UVs."),
-    ] = "simulated",
+    trajectory: Path,
+    out: Annotated[Path, typer.Argument(help=f"File to write: {FORMATS}")],
+    every: int = 1,
+    range_: Annotated[FrameRange | None, typer.Option("--range", parser=FrameRange.parse, metavar="A:B")] = None,
+    on: Literal["simulated", "source"] = "simulated",
     *,
     glb: Mapping[str, Any],
     picture: Mapping[str, Any],
     json: JsonFlag = None,
 ) -> None:
-    """Write a trajectory in another format."""
+    """Write a trajectory in another format.\f
+
+    Args:
+        trajectory: Trajectory .npz written by `pb4u simulate`, or a result .pkl of HOOD's family.
+        out: file to write.
+        every: Keep every N-th frame; the frame rate is divided by N.
+        range_: First frame and the frame after the last, counted from 0.
+        on: The simulated mesh, or the author's own with its vertex order, polygons and UVs.
+        glb: number of bones of a .glb.
+        picture: the fields of `PictureRequest`.
+        json: file for the result.
+    """
     from pb4u.compat.result_pickle import open_trajectory
     from pb4u.export.registry import check_bones, check_target, export
     from pb4u.export.selection import on_source, select_frames
@@ -75,25 +70,25 @@ def convert(
     tell(summary, json, wrote([out], chosen.frame_count))
 
 
+@verb()
 def view(
-    trajectory: Annotated[
-        Path | None,
-        typer.Argument(
-            help="Trajectory .npz of `pb4u simulate`, or a result .pkl of HOOD's family.", show_default=False
-        ),
-    ] = None,
-    other: Annotated[Path | None, typer.Argument(help="Another one, shown beside it.", show_default=False)] = None,
-    host: Annotated[
-        str,
-        typer.Option(
-            help="Address to listen on; 0.0.0.0 lets in who comes by the network with the token of its address."
-        ),
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.")] = 8094,
-    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
-    out: Annotated[Path | None, typer.Option(help="Folder that exports are kept in, besides being downloaded.")] = None,
+    trajectory: Annotated[Path | None, typer.Argument()] = None,
+    other: Annotated[Path | None, typer.Argument()] = None,
+    host: str = "127.0.0.1",
+    port: int = 8094,
+    browser: bool = True,
+    out: Path | None = None,
 ) -> None:
-    """Play, compare, simulate live and export, in the browser."""
+    """Play, compare, simulate live and export, in the browser.\f
+
+    Args:
+        trajectory: Trajectory .npz of `pb4u simulate`, or a result .pkl of HOOD's family.
+        other: Another one, shown beside it.
+        host: Address to listen on; 0.0.0.0 lets in who comes by the network with the token of its address.
+        port: Port to listen on; 0 takes a free one.
+        browser: Open the page in the browser.
+        out: Folder that exports are kept in, besides being downloaded.
+    """
     from pb4u.compat.result_pickle import open_trajectory
     from pb4u.viewer.clip import RecordedClip
     from pb4u.viewer.studio import Studio

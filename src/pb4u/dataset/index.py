@@ -92,17 +92,13 @@ def _row(folder: DatasetFolder, job: RunJob, labels: Mapping[str, Any]) -> dict[
     if result is None or place is None:
         return {**row, **labels, "failure": failure.sentence if failure else None}
     row |= {"file": place.file, "member": place.member, **result, **labels}
-    for prefix, tables in (("", result["metrics"]), ("paper_", result["metrics_paper"])):
-        for name, measured in tables.items():
-            row |= {f"{prefix}{name}_{part}": measured[part] for part in _MEASURED}
-    row["garments"] = [
-        {
-            **each,
-            **{f"{name}_{part}": measured[part] for name, measured in each["metrics"].items() for part in _MEASURED},
-        }
-        for each in result["garments"]
-    ]
-    return row
+    row |= _measured(result["metrics"]) | _measured(result["metrics_paper"], "paper_")
+    return {**row, "garments": [each | _measured(each["metrics"]) for each in result["garments"]]}
+
+
+def _measured(tables: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Values of the columns of measured quantities."""
+    return {f"{prefix}{name}_{part}": table[part] for name, table in tables.items() for part in _MEASURED}
 
 
 def _schema() -> pyarrow.Schema:

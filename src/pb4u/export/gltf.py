@@ -25,7 +25,15 @@ from pb4u.export.sewing_lines import sewn_parts
 from pb4u.export.shading import SKIN, ClothPart
 from pb4u.export.shape_basis import ShapeBasis, fit_shapes
 from pb4u.geometry.appearance import image_suffix
-from pb4u.io.gltf_file import FLOAT, UNSIGNED_INT, UNSIGNED_SHORT, glb_head
+from pb4u.io.gltf_file import (
+    ARRAY_BUFFER,
+    ELEMENT_ARRAY_BUFFER,
+    FLOAT,
+    UNSIGNED_INT,
+    UNSIGNED_SHORT,
+    GltfDocument,
+    glb_head,
+)
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.author_mesh import split_seams
 from pb4u.scene.trajectory import Trajectory
@@ -34,7 +42,6 @@ _TOLERANCE = 1e-3
 """Largest distance of a vertex from the trajectory [m]: less than can be seen beside a body."""
 _MOST_TARGETS = 256
 """Texture layers that every WebGL 2 device has."""
-_ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 
 def write_glb(
@@ -105,29 +112,18 @@ def _told_of(baked: BakedBones) -> str:
     )
 
 
-class _Document:
-    """The JSON of a glTF file, while its arrays go to a binary file."""
+class _Document(GltfDocument):
+    """A glTF file of moving surfaces."""
 
     def __init__(self, file: BinaryIO, trajectory: Trajectory, bones: int | None) -> None:
-        self._file = file
+        super().__init__(file)
         self._bones = bones
         self.farthest: BakedBones | None = None
         self._frames = trajectory.frame_count
         self._times: int | None = None
         self._seconds = (np.arange(self._frames) / trajectory.fps).astype(np.float32)
-        asset: dict[str, Any] = {"version": "2.0", "generator": "pb4u"}
         if held := held_frames(trajectory):
-            asset["extras"] = {HELD_FRAMES: held}
-        self._json: dict[str, Any] = {
-            "asset": asset,
-            "scene": 0,
-            "scenes": [{"nodes": []}],
-            "nodes": [],
-            "meshes": [],
-            "materials": [],
-            "accessors": [],
-            "bufferViews": [],
-        }
+            self.json["asset"]["extras"] = {HELD_FRAMES: held}
         self._textures: dict[bytes, int] = {}
         self._samplers: list[dict[str, Any]] = []
         self._channels: list[dict[str, Any]] = []
@@ -172,7 +168,7 @@ class _Document:
             attributes |= self._joints(baked, of_vertex)
         primitives = self._primitives(attributes, corners, looks)
         mesh: dict[str, Any] = {"name": name, "primitives": primitives, "extras": extras}
-        node = len(self._json["nodes"])
+        node = len(self.json["nodes"])
         if len(basis.shapes):
             targets = self._morph_targets(basis, of_vertex)
             for primitive in primitives:
@@ -180,9 +176,9 @@ class _Document:
             mesh["weights"] = [0.0] * len(basis.shapes)
             extras["targetNames"] = [f"shape {k}" for k in range(len(basis.shapes))]
             self._animate(node, "weights", basis.weights.reshape(-1), "SCALAR")
-        self._json["nodes"].append({"name": name, "mesh": len(self._json["meshes"])})
-        self._json["scenes"][0]["nodes"].append(node)
-        self._json["meshes"].append(mesh)
+        self.json["nodes"].append({"name": name, "mesh": len(self.json["meshes"])})
+        self.json["scenes"][0]["nodes"].append(node)
+        self.json["meshes"].append(mesh)
         if baked is not None:
             self._add_skin(node, baked)
             extras |= {"largest_error": baked.largest_error, "rms_error": baked.rms_error}
@@ -192,25 +188,25 @@ class _Document:
     def _attributes(self, basis: ShapeBasis, of_vertex: np.ndarray, uvs: np.ndarray | None) -> dict[str, int]:
         """Places, normals and UVs of the written vertices, copies of those `of_vertex` (written,)."""
         attributes = {
-            "POSITION": self._vectors(basis.start[of_vertex], bounded=True),
-            "NORMAL": self._vectors(basis.start_normals[of_vertex]),
+            "POSITION": self.add_vectors(basis.start[of_vertex], bounded=True),
+            "NORMAL": self.add_vectors(basis.start_normals[of_vertex]),
         }
         if uvs is not None:
-            attributes["TEXCOORD_0"] = self._vectors(uvs * (1.0, -1.0) + (0.0, 1.0))  # v downward
+            attributes["TEXCOORD_0"] = self.add_vectors(uvs * (1.0, -1.0) + (0.0, 1.0))  # v downward
         return attributes
 
     def _panels(self, panels: SewnPanels, of_vertex: np.ndarray, corners: np.ndarray) -> int:
         """The panel of each written vertex, a corner of faces `corners` (faces, 3); -1 of none."""
         of_written = np.full(len(of_vertex), -1.0, dtype="<f4")
         of_written[corners] = panels.of_face[:, None]
-        return self._add(of_written, "SCALAR", FLOAT, _ARRAY_BUFFER)
+        return self.add(of_written, "SCALAR", FLOAT, ARRAY_BUFFER)
 
     def _joints(self, baked: BakedBones, of_vertex: np.ndarray) -> dict[str, int]:
         """The bones of each written vertex and their weights."""
         joints, weights = baked.joints[of_vertex].astype("<u2"), baked.weights[of_vertex].astype("<f4")
         return {
-            "JOINTS_0": self._add(joints, "VEC4", UNSIGNED_SHORT, _ARRAY_BUFFER),
-            "WEIGHTS_0": self._add(weights, "VEC4", FLOAT, _ARRAY_BUFFER),
+            "JOINTS_0": self.add(joints, "VEC4", UNSIGNED_SHORT, ARRAY_BUFFER),
+            "WEIGHTS_0": self.add(weights, "VEC4", FLOAT, ARRAY_BUFFER),
         }
 
     def _primitives(
@@ -220,8 +216,8 @@ class _Document:
         return [
             {
                 "attributes": attributes,
-                "indices": self._add(
-                    corners[look.faces].reshape(-1).astype("<u4"), "SCALAR", UNSIGNED_INT, _ELEMENT_ARRAY_BUFFER
+                "indices": self.add(
+                    corners[look.faces].reshape(-1).astype("<u4"), "SCALAR", UNSIGNED_INT, ELEMENT_ARRAY_BUFFER
                 ),
                 "material": self._material(look),
             }
@@ -232,27 +228,27 @@ class _Document:
         """Offsets of each shape for the written vertices and their normals."""
         return [
             {
-                "POSITION": self._vectors(shape[of_vertex], bounded=True),
-                "NORMAL": self._vectors(normals[of_vertex]),
+                "POSITION": self.add_vectors(shape[of_vertex], bounded=True),
+                "NORMAL": self.add_vectors(normals[of_vertex]),
             }
             for shape, normals in zip(basis.shapes, basis.normal_shapes, strict=True)
         ]
 
     def _add_skin(self, node: int, baked: BakedBones) -> None:
         """Bones of a mesh's node, each a joint that moves and turns."""
-        nodes, first = self._json["nodes"], len(self._json["nodes"]) + 1
+        nodes, first = self.json["nodes"], len(self.json["nodes"]) + 1
         name, count = nodes[node]["name"], len(baked.centres)
-        self._json["scenes"][0]["nodes"].append(first - 1)
+        self.json["scenes"][0]["nodes"].append(first - 1)
         nodes.append({"name": f"{name} bones", "children": list(range(first, first + count))})
         inverse = np.tile(np.eye(4, dtype="<f4"), (count, 1, 1))
         inverse[:, 3, :3] = -baked.centres  # column by column
         skin = {
             "joints": list(range(first, first + count)),
-            "inverseBindMatrices": self._add(inverse, "MAT4", FLOAT),
+            "inverseBindMatrices": self.add(inverse, "MAT4", FLOAT),
             "skeleton": first - 1,
         }
-        nodes[node]["skin"] = len(self._json.setdefault("skins", []))
-        self._json["skins"].append(skin)
+        nodes[node]["skin"] = len(self.json.setdefault("skins", []))
+        self.json["skins"].append(skin)
         for bone in range(count):
             turns = Rotation.from_matrix(baked.rotations[:, bone]).as_quat()
             # Of the two quaternions of a rotation the one nearer to that of the frame before.
@@ -264,16 +260,16 @@ class _Document:
 
     def finished(self) -> dict[str, Any]:
         """The whole document; nothing can be added after."""
-        self._json["buffers"] = [{"byteLength": self._file.tell()}]
+        self.json["buffers"] = [{"byteLength": self.file.tell()}]
         if self._channels:
-            self._json["animations"] = [{"name": "cloth", "samplers": self._samplers, "channels": self._channels}]
-        return self._json
+            self.json["animations"] = [{"name": "cloth", "samplers": self._samplers, "channels": self._channels}]
+        return self.json
 
     def _animate(self, node: int, path: str, values: np.ndarray, kind: str) -> None:
         if self._times is None:
-            self._times = self._add(self._seconds, "SCALAR", FLOAT)
-            self._json["accessors"][self._times] |= {"min": [0.0], "max": [float(self._seconds[-1])]}
-        output = self._add(values.astype("<f4"), kind, FLOAT)
+            end = float(self._seconds[-1])
+            self._times = self.add(self._seconds, "SCALAR", FLOAT, min=[0.0], max=[end])
+        output = self.add(values.astype("<f4"), kind, FLOAT)
         target = {"node": node, "path": path}
         self._channels.append({"sampler": len(self._samplers), "target": target})
         self._samplers.append({"input": self._times, "output": output, "interpolation": "LINEAR"})
@@ -286,42 +282,15 @@ class _Document:
         }  # fmt: skip
         if look.image is not None:
             surface["baseColorTexture"] = {"index": self._texture(look.image)}
-        self._json["materials"].append({"name": look.name, "pbrMetallicRoughness": surface, "doubleSided": True})
-        return len(self._json["materials"]) - 1
+        self.json["materials"].append({"name": look.name, "pbrMetallicRoughness": surface, "doubleSided": True})
+        return len(self.json["materials"]) - 1
 
     def _texture(self, image: bytes) -> int:
         """Texture of an image, which is in the file once for all parts."""
         if image not in self._textures:
             kind = "image/png" if image_suffix(image) == ".png" else "image/jpeg"
             self._textures[image] = len(self._textures)
-            textures, images = (self._json.setdefault(name, []) for name in ("textures", "images"))
+            textures, images = (self.json.setdefault(name, []) for name in ("textures", "images"))
             textures.append({"source": len(images)})
-            images.append({"bufferView": len(self._json["bufferViews"]), "mimeType": kind})
-            view = {"buffer": 0, "byteOffset": self._file.tell(), "byteLength": len(image)}
-            self._json["bufferViews"].append(view)
-            self._file.write(image + b"\0" * (-len(image) % 4))
+            images.append({"bufferView": self.add_view(image), "mimeType": kind})
         return self._textures[image]
-
-    def _vectors(self, values: np.ndarray, bounded: bool = False) -> int:
-        values = np.ascontiguousarray(values, dtype="<f4")
-        accessor = self._add(values, f"VEC{values.shape[1]}", FLOAT, _ARRAY_BUFFER)
-        if bounded:
-            bounds = {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
-            self._json["accessors"][accessor] |= bounds
-        return accessor
-
-    def _add(self, values: np.ndarray, kind: str, component: int, target: int | None = None) -> int:
-        view: dict[str, Any] = {"buffer": 0, "byteOffset": self._file.tell(), "byteLength": values.nbytes}
-        if target is not None:
-            view["target"] = target
-        self._file.write(values.tobytes())
-        self._json["bufferViews"].append(view)
-        self._json["accessors"].append(
-            {
-                "bufferView": len(self._json["bufferViews"]) - 1,
-                "componentType": component,
-                "count": len(values),
-                "type": kind,
-            }
-        )
-        return len(self._json["accessors"]) - 1

@@ -83,12 +83,7 @@ def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: i
         raise InputError(f"Every {every}th of {last - first} frames is one frame; give a smaller stride.")
     if span is not None and span[1] > last:
         warn(f"The trajectory has {last} frames; of the range {first}:{span[1]}, {first}:{last} is there.")
-    return Trajectory(
-        replace(trajectory.header, fps=trajectory.fps / every),
-        trajectory.positions[kept],
-        trajectory.velocities[kept],
-        trajectory.body_positions[kept],
-    )
+    return trajectory.with_frames(lambda values: values[kept], trajectory.fps / every)
 
 
 def looks_are_on_source(header: TrajectoryHeader) -> bool:
@@ -214,9 +209,4 @@ def resampled(trajectory: Trajectory, fps: float, frames: int | None = None) -> 
     def between(values: np.ndarray) -> np.ndarray:
         return (1 - weight) * values[low] + weight * values[high]
 
-    return Trajectory(
-        replace(trajectory.header, fps=fps),
-        between(trajectory.positions),
-        between(trajectory.velocities),
-        between(trajectory.body_positions),
-    )
+    return trajectory.with_frames(between, fps)

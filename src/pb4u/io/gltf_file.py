@@ -10,7 +10,7 @@ import json
 import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 from urllib.parse import unquote
 
 import numpy as np
@@ -22,6 +22,8 @@ SUFFIXES = (".glb", ".gltf", ".vrm")
 _MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
 UNSIGNED_BYTE, UNSIGNED_SHORT, UNSIGNED_INT, FLOAT = 5121, 5123, 5125, 5126
 """Types of the components of an array."""
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+"""Uses of an array: by vertex, and as indices."""
 _TYPES = {5120: "<i1", UNSIGNED_BYTE: "<u1", 5122: "<i2", UNSIGNED_SHORT: "<u2", UNSIGNED_INT: "<u4", FLOAT: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 # Vertices and indices are packed by these in ways that are not read.
@@ -149,6 +151,63 @@ def read_gltf(path: Path) -> GltfFile:
                 raise InputError(f"{path} is cut short: a buffer has {len(held):,} of {buffer['byteLength']:,} bytes.")
             buffers.append(held)
         return GltfFile(path, document, tuple(buffers))
+
+
+class GltfDocument:
+    """A glTF file that is written: its JSON, and its arrays as they go to a binary file.
+
+    Args:
+        file: takes the arrays, a multiple of 4 bytes each.
+
+    Attributes:
+        file: takes the arrays.
+        json: the JSON, with one scene.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.file = file
+        self.json: dict[str, Any] = {
+            "asset": {"version": "2.0", "generator": "pb4u"}, "scene": 0, "scenes": [{"nodes": []}], "nodes": [],
+            "meshes": [], "materials": [], "accessors": [], "bufferViews": [],
+        }  # fmt: skip
+
+    def add_view(self, content: bytes, **more: Any) -> int:
+        """Number of the buffer view that bytes are added as.
+
+        Args:
+            content: the bytes.
+            more: further entries of the view.
+        """
+        view = {"buffer": 0, "byteOffset": self.file.tell(), "byteLength": len(content), **more}
+        self.file.write(content + b"\0" * (-len(content) % 4))
+        self.json["bufferViews"].append(view)
+        return len(self.json["bufferViews"]) - 1
+
+    def add(self, values: np.ndarray, kind: str, component: int, target: int | None = None, **more: Any) -> int:
+        """Number of the accessor that an array is added as.
+
+        Args:
+            values: (count, ...) little-endian, of the component type.
+            kind: "SCALAR", "VEC2" and so on.
+            component: type of its components.
+            target: its use; None where it is neither by vertex nor indices.
+            more: further entries of the accessor.
+        """
+        view = self.add_view(values.tobytes(), **({} if target is None else {"target": target}))
+        accessor = {"bufferView": view, "componentType": component, "count": len(values), "type": kind, **more}
+        self.json["accessors"].append(accessor)
+        return len(self.json["accessors"]) - 1
+
+    def add_vectors(self, values: np.ndarray, bounded: bool = False) -> int:
+        """Number of the accessor that vectors by vertex are added as.
+
+        Args:
+            values: (vertices, components) float.
+            bounded: whether their bounds are told.
+        """
+        values = np.asarray(values, dtype="<f4")
+        bounds = {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()} if bounded else {}
+        return self.add(values, f"VEC{values.shape[1]}", FLOAT, ARRAY_BUFFER, **bounds)
 
 
 def glb_head(document: dict[str, Any], size: int) -> bytes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -224,6 +224,16 @@ class Trajectory:
         """Frames in their order."""
         for p, v, b in zip(self.positions, self.velocities, self.body_positions, strict=True):
             yield Frame(p, v, b)
+
+    def with_frames(self, change: Callable[[np.ndarray], np.ndarray], fps: float) -> Trajectory:
+        """The trajectory with other frames, made of those it has.
+
+        Args:
+            change: gives (frames, vertices, 3) from the positions, the velocities and the positions of the body.
+            fps: frames per second [1/s].
+        """
+        arrays = self.positions, self.velocities, self.body_positions
+        return Trajectory(replace(self.header, fps=fps), *map(change, arrays))
 
     @classmethod
     def collect(cls, header: TrajectoryHeader, frames: Iterable[Frame]) -> Trajectory:

@@ -162,7 +162,6 @@ def simulator_of(run: Run) -> Simulator:
     keep_freed_memory()
     model = chosen_model(run)
     refuse_useless(run)
-    _require_known(model)
     potential = IncrementalPotential()
     if run.self_contact is not False:
         potential = potential.with_self_contact(bodies=run.contact)
@@ -189,9 +188,9 @@ def simulator_of(run: Run) -> Simulator:
     if model in PARTS:
         like = load_checkpoint_of(_shipped_network(model)).model.network
         return CONTROLS.named(model)(model, like, passes, refine=run.refine, **common)
+    checkpoint = load_checkpoint_of(model)
     device = available_device(run.device)
     precision = _precision(run.precision, device, run.refine)
-    checkpoint = load_checkpoint_of(model)
     return NetworkSimulator(checkpoint, run.propagation_steps, device, passes, precision, refine=run.refine, **common)
 
 
@@ -201,14 +200,6 @@ def _shipped_network(control: str) -> str:
     if name == "solver":
         raise InputError(f"{control} starts and searches as the default network does, and no network is installed.")
     return name
-
-
-def _require_known(model: str) -> None:
-    """Refuse the name of no model, and a file that is none."""
-    if model not in (*PARTS, *model_descriptions()):
-        _refuse_other_files_of_a_training(Path(model))
-        if not Path(model).suffix:
-            raise unknown_model(model)
 
 
 def unknown_model(name: str) -> InputError:
@@ -238,7 +229,8 @@ def load_checkpoint_of(name: str) -> Checkpoint:
 
     if name in built_in_models():
         return from_pretrained(name)
-    if not Path(name).suffix and not Path(name).exists():
+    _refuse_other_files_of_a_training(Path(name))
+    if not Path(name).suffix:
         raise unknown_model(name)
     return READERS.get(Path(name).suffix.lower(), from_pretrained)(name)
 

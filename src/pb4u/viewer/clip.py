@@ -123,5 +123,5 @@ class GrowingClip(Clip):
         return self._count
 
     def trajectory(self) -> Trajectory:
-        room, count = self._shown, self._count
-        return Trajectory(room.header, room.positions[:count], room.velocities[:count], room.body_positions[:count])
+        count = self._count
+        return self._shown.with_frames(lambda values: values[:count], self.header.fps)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -10,7 +11,7 @@ import numpy as np
 
 from pb4u.export.sewing_lines import ABOVE, SewingLines, sewing_lines
 from pb4u.export.shading import cloth_parts, garment_colours, unit_normals
-from pb4u.io.gltf_file import FLOAT, UNSIGNED_BYTE, UNSIGNED_INT, UNSIGNED_SHORT, glb_head
+from pb4u.io.gltf_file import FLOAT, UNSIGNED_BYTE, UNSIGNED_INT, UNSIGNED_SHORT, GltfDocument, glb_head
 
 if TYPE_CHECKING:
     from viser import GlbHandle, LineSegmentsHandle, MeshHandle, SceneApi
@@ -180,43 +181,26 @@ def coloured_glb(positions: np.ndarray, colours: np.ndarray, faces: np.ndarray, 
         transparent: whether the alpha of the colours counts.
     """
     short = len(positions) < 65536
-    indices = np.ascontiguousarray(faces, dtype="<u2" if short else "<u4").tobytes()
-    index_kind = UNSIGNED_SHORT if short else UNSIGNED_INT
-    alpha = {"alphaMode": "BLEND"} if transparent else {}
-    points = np.ascontiguousarray(positions, dtype="<f4")
-    parts = [points.tobytes(), np.ascontiguousarray(colours, dtype=np.uint8).tobytes(), indices]
-    sizes = [len(part) for part in parts]
-    offsets = [0, sizes[0], sizes[0] + sizes[1]]
-    count = len(points)
-    matt = {"metallicFactor": 0, "roughnessFactor": 0.9}
-    attributes = {"POSITION": 0, "COLOR_0": 1, "NORMAL": 3}
-    document = {
-        "asset": {"version": "2.0", "generator": "pb4u"},
-        "scene": 0,
+    binary = io.BytesIO()
+    document = GltfDocument(binary)
+    attributes = {
+        "POSITION": document.add_vectors(positions, bounded=True),
+        "COLOR_0": document.add(np.asarray(colours, dtype=np.uint8), "VEC4", UNSIGNED_BYTE, normalized=True),
+    }
+    corners = np.ravel(faces).astype("<u2" if short else "<u4")
+    indices = document.add(corners, "SCALAR", UNSIGNED_SHORT if short else UNSIGNED_INT)
+    # Normals are named but not sent (zeros, by the format): the browser computes them from the positions, and without
+    # the name it would shade every triangle flat.
+    attributes["NORMAL"] = len(document.json["accessors"])
+    document.json["accessors"].append({"componentType": FLOAT, "count": len(positions), "type": "VEC3"})
+    matt = {"pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.9}, "doubleSided": True}
+    primitive = {"attributes": attributes, "indices": indices, "material": 0}
+    content = binary.getvalue()
+    document.json |= {
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],
-        # Normals are named but not sent (zeros, by the format): the browser computes them from the positions,
-        # and without the name it would shade every triangle flat.
-        "meshes": [{"primitives": [{"attributes": attributes, "indices": 2, "material": 0}]}],
-        "materials": [{"pbrMetallicRoughness": matt, "doubleSided": True, **alpha}],
-        "buffers": [{"byteLength": sum(sizes)}],
-        "bufferViews": [
-            {"buffer": 0, "byteOffset": offset, "byteLength": size}
-            for offset, size in zip(offsets, sizes, strict=True)
-        ],
-        "accessors": [
-            {
-                "bufferView": 0, "componentType": FLOAT, "count": count, "type": "VEC3",
-                "min": points.min(axis=0).tolist(), "max": points.max(axis=0).tolist(),
-            },
-            {
-                "bufferView": 1, "componentType": UNSIGNED_BYTE, "normalized": True, "count": count,
-                "type": "VEC4",
-            },
-            {"bufferView": 2, "componentType": index_kind, "count": int(np.size(faces)), "type": "SCALAR"},
-            {"componentType": FLOAT, "count": count, "type": "VEC3"},
-        ],
-    }  # fmt: skip
-    binary = b"".join(parts)
-    binary += b"\0" * (-len(binary) % 4)
-    return glb_head(document, len(binary)) + binary
+        "meshes": [{"primitives": [primitive]}],
+        "materials": [{**matt, "alphaMode": "BLEND"} if transparent else matt],
+        "buffers": [{"byteLength": len(content)}],
+    }
+    return glb_head(document.json, len(content)) + content
