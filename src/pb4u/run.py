@@ -202,7 +202,7 @@ class Run:
     omitted: Annotated[str | Path | None, Flag(RESEARCH, "FILE", is_file=True)] = None
     rest_shape: Annotated[Literal["moulded"], Flag(SCENE, "NAME")] = "moulded"
     friction_law: Annotated[Literal["paper"], _model("NAME", applies_to=STEPS)] = "paper"
-    time_integration: Annotated[Literal["implicit-euler"], _model("NAME", applies_to=STEPS)] = "implicit-euler"
+    time_integration: Annotated[Literal["implicit-euler", "bdf2"], _model("NAME", applies_to=STEPS)] = "implicit-euler"
     air: Annotated[bool, _model(applies_to=STEPS)] = False
     environment: Environment = USUAL
 
