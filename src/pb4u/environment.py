@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from numbers import Real
 from typing import Any
 
@@ -16,8 +16,10 @@ STANDARD_GRAVITY = 9.81
 UP = (0.0, 1.0, 0.0)
 """Normal of the ground, the vertical of the world: the files of the package have +Y up."""
 
+STRONGEST_WIND = 50.0
+"""Speed of the air [m/s] above which it is refused: a hurricane's."""
 
-_AIR = ("wind", "air_density")
+_AIR = ("wind", "gusts", "air_density")
 
 
 def _vector(name: str, value: Any) -> tuple[float, ...]:
@@ -38,8 +40,9 @@ class Environment:
 
     Args:
         gravity: (3,) acceleration of free fall [m/s^2].
-        wind: (3,) velocity of the air [m/s]. No energy has air in it yet, so that it must be still.
-        air_density: density of the air [kg/m^3], for the energy that will have it.
+        wind: (3,) mean velocity of the air [m/s].
+        gusts: seed of the gusts of that wind; None for a steady wind.
+        air_density: density of the air [kg/m^3].
         ground: height of the ground plane [m]; None for no ground.
 
     Raises:
@@ -48,6 +51,7 @@ class Environment:
 
     gravity: tuple[float, float, float] = (0.0, -STANDARD_GRAVITY, 0.0)
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gusts: int | None = None
     air_density: float = 1.2
     ground: float | None = 0.0
 
@@ -59,8 +63,15 @@ class Environment:
             object.__setattr__(self, "ground", _number("ground", self.ground))
         if self.air_density < 0.0:
             raise InputError(f"air_density must be 0 kg/m^3 or more, not {self.air_density:g}.")
-        if any(self.wind):
-            raise InputError("wind must be [0, 0, 0]: no energy of the air is among those of a simulation yet.")
+        if math.hypot(*self.wind) > STRONGEST_WIND:
+            raise InputError(f"wind must be {STRONGEST_WIND:g} m/s or less, not {math.hypot(*self.wind):g}.")
+        if self.gusts is not None and (type(self.gusts) is not int or self.gusts < 0):
+            raise InputError(f"gusts must be a whole number from 0 on, their seed, not {self.gusts!r}.")
+
+    @property
+    def in_still_air(self) -> Environment:
+        """The same environment without wind."""
+        return replace(self, wind=USUAL.wind)
 
     @property
     def metadata(self) -> dict[str, Any]:

@@ -45,6 +45,7 @@ class TimeStep:
             gives them no place: predictions then move them as any other.
         skinned_motion: (vertices, 3) [m] how far skinning moves each vertex over the step, or None.
         integrator: gives inertia, and the velocities and history of the state that the step leads to.
+        time: since the simulation began [s], at frame t.
 
     Raises:
         InputError: a time step that is not positive, or shapes that do not match.
@@ -58,6 +59,7 @@ class TimeStep:
     pin_positions: Tensor | None = None
     skinned_motion: Tensor | None = None
     integrator: Integrator = IMPLICIT_EULER
+    time: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.dt < float("inf"):
@@ -146,6 +148,7 @@ class TimeStep:
             dt=self.dt / count,
             pin_positions=None if pins is None else torch.lerp(self.state.positions, pins, (k + 1) / count),
             skinned_motion=None if motion is None else motion / count,
+            time=self.time + k * self.dt / count,
         )
 
     @property
