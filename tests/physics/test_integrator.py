@@ -39,7 +39,7 @@ ANGLE = np.pi / 6
 
 def strip() -> PackedGarments:
     """A strip of half a metre that is as good as rigid, and is held at its upper end."""
-    cloth = sheet(1, 5, 0.05, 0.5, Material(density=0.2, lame_mu=2e8, lame_lambda=0.0, bending=1e3))
+    cloth = sheet(1, 5, 0.05, 0.5, Material.isotropic(density=0.2, lame_mu=2e8, lame_lambda=0.0, bending=40.0))
     return packed(cloth.with_pins(cloth.vertices[:, 1] > 0.499))
 
 

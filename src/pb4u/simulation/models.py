@@ -154,6 +154,7 @@ def simulator_of(run: Run) -> Simulator:
     from pb4u.physics.integrator import INTEGRATORS
     from pb4u.physics.solver.implicit_steps import free_flight
     from pb4u.physics.terms.air import Air
+    from pb4u.physics.terms.damping import DAMPING
     from pb4u.simulation.first_frame import FIRST_FRAMES
     from pb4u.simulation.penetration_response import ContactResponse
     from pb4u.simulation.simulator import SkinningSimulator
@@ -165,6 +166,8 @@ def simulator_of(run: Run) -> Simulator:
     refuse_useless(run)
     _require_known(model)
     potential = IncrementalPotential()
+    for term in DAMPING:
+        potential = potential.with_term(term)
     if run.air:
         potential = potential.with_term(Air())
     if run.self_contact is not False:
