@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any
 
 from pb4u.errors import InputError
@@ -15,8 +16,10 @@ STANDARD_GRAVITY = 9.81
 UP = (0.0, 1.0, 0.0)
 """Normal of the ground, the vertical of the world: the files of the package have +Y up."""
 
+STRONGEST_WIND = 50.0
+"""Speed of the air [m/s] above which it is refused: a hurricane's."""
 
-_AIR = ("wind", "air_density")
+_AIR = ("wind", "gusts", "air_density")
 
 
 @dataclass(frozen=True)
@@ -25,8 +28,9 @@ class Environment:
 
     Args:
         gravity: Acceleration of free fall [m/s^2] along X, Y and Z, Y being up.
-        wind: Velocity of the air [m/s] along X, Y and Z. No energy has air in it yet, so that it must be still.
-        air_density: Density of the air [kg/m^3], for the energy that will have it.
+        wind: Mean velocity of the air [m/s] along X, Y and Z; needs --air.
+        gusts: Seed of the gusts of that wind. Default: a steady wind.
+        air_density: Density of the air [kg/m^3].
         ground: Height of the ground plane [m]; none for no ground.
 
     Raises:
@@ -35,6 +39,7 @@ class Environment:
 
     gravity: Annotated[tuple[float, float, float], Flag(metavar="X,Y,Z")] = (0.0, -STANDARD_GRAVITY, 0.0)
     wind: Annotated[tuple[float, float, float], Flag(metavar="X,Y,Z")] = (0.0, 0.0, 0.0)
+    gusts: Annotated[int | None, Flag(metavar="SEED", least=0)] = None
     air_density: Annotated[float, Flag(metavar="RHO", least=0)] = 1.2
     ground: Annotated[float | None, Flag(metavar="HEIGHT|none")] = 0.0
 
@@ -47,8 +52,13 @@ class Environment:
         for name in ("air_density", "ground"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, float(getattr(self, name)))
-        if any(self.wind):
-            raise InputError("wind must be [0, 0, 0]: no energy of the air is among those of a simulation yet.")
+        if math.hypot(*self.wind) > STRONGEST_WIND:
+            raise InputError(f"wind must be {STRONGEST_WIND:g} m/s or less, not {math.hypot(*self.wind):g}.")
+
+    @property
+    def in_still_air(self) -> Environment:
+        """The same environment without wind."""
+        return replace(self, wind=USUAL.wind)
 
     @property
     def metadata(self) -> dict[str, Any]:

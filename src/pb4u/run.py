@@ -163,7 +163,7 @@ class Run:
         rest_shape: Rest shape of built-in garments: moulded on the body.
         friction_law: Friction of cloth against bodies and cloth: the paper's.
         time_integration: Rule of integration in time.
-        air: Whether air drags cloth, which it does not yet.
+        air: Air that presses on moving cloth and drags it; needed for wind.
         environment: Gravity, air and ground; flags and entries of jobs files are the fields of `Environment`.
 
     Raises:
@@ -203,7 +203,7 @@ class Run:
     omitted: Annotated[str | Path | None, Flag(RESEARCH, "FILE", is_file=True)] = None
     rest_shape: Annotated[Literal["moulded"], Flag(SCENE, "NAME")] = "moulded"
     friction_law: Annotated[Literal["paper"], _model("NAME", applies_to=STEPS)] = "paper"
-    time_integration: Annotated[Literal["implicit-euler"], _model("NAME", applies_to=STEPS)] = "implicit-euler"
+    time_integration: Annotated[Literal["implicit-euler", "bdf2"], _model("NAME", applies_to=STEPS)] = "implicit-euler"
     air: Annotated[bool, _model(applies_to=STEPS)] = False
     environment: Annotated[Environment, Flag(SCENE, applies_to=STEPS)] = USUAL
 
@@ -216,10 +216,10 @@ class Run:
         if self.crop is not None:
             object.__setattr__(self, "crop", _checked_crop(self.crop))
         _check(self)
-        if self.air:
-            raise InputError("air must be false: no energy of the air is among those of a simulation yet.")
         if not isinstance(self.environment, Environment):
             raise InputError(f"The environment of a run is a pb4u.Environment, not {self.environment!r}.")
+        if any(self.environment.wind) and not self.air:
+            raise InputError("wind moves nothing where there is no air: give air = true too (--air).")
         if not self.garments:
             raise InputError("A scene has at least one garment; none is given.")
         if len(self.garments) > MOST_GARMENTS:

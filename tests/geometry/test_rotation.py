@@ -52,3 +52,29 @@ def test_slerp_takes_the_short_way_at_constant_speed() -> None:
         np.testing.assert_allclose(rotation.angle_between(a, at), s * whole, atol=1e-7)
     np.testing.assert_allclose(rotation.slerp(a, -a, np.full(30, 0.5)) @ np.zeros(4), 0.0)
     np.testing.assert_allclose(rotation.angle_between(rotation.slerp(a, -a, np.full(30, 0.5)), a), 0.0, atol=1e-7)
+
+
+def test_a_spline_of_rotations_passes_through_all_without_a_jump_of_velocity() -> None:
+    random = np.random.default_rng(1)
+    turns = np.cumsum(0.2 * random.normal(size=(8, 3, 3)), axis=0)
+    samples = rotation.from_axis_angle(turns)
+    np.testing.assert_allclose(np.abs((rotation.spline(samples, np.arange(8.0)) * samples).sum(-1)), 1.0, atol=1e-12)
+    h, inside = 1e-5, np.arange(1.0, 7.0)
+    before = rotation.angle_between(rotation.spline(samples, inside - h), rotation.spline(samples, inside)) / h
+    after = rotation.angle_between(rotation.spline(samples, inside), rotation.spline(samples, inside + h)) / h
+    np.testing.assert_allclose(before, after, atol=1e-3)
+    by_lines = np.abs(
+        rotation.angle_between(samples[:-2], samples[1:-1]) - rotation.angle_between(samples[1:-1], samples[2:])
+    )
+    assert by_lines.max() > 0.1
+
+
+def test_a_spline_of_rotations_turns_evenly_where_they_do_and_past_none_that_stays() -> None:
+    angles = np.array([0.0, 0.3, 0.6, 0.9, 0.9, 0.9, 0.0])
+    place = np.linspace(0.0, 6.0, 61)
+    found = rotation.spline(rotation.about_axis("y", angles), place)
+    turned = 2.0 * np.arctan2(found[:, 2], found[:, 0])
+    np.testing.assert_allclose(turned[10:21], 0.03 * np.arange(10, 21), atol=1e-12)
+    np.testing.assert_allclose(turned[30:51], 0.9, atol=1e-12)
+    assert turned.max() < 0.9 + 1e-12
+    assert turned.min() > -1e-12

@@ -72,7 +72,8 @@ class Material:
             its fields) or one for all.
         stiffening_strain: stretch of a thread beyond which it grows stiffer [1].
         stiffening_stiffness: by how much its modulus grows for each unit of stretch beyond that [N/m].
-        damping_time: time by which the force of a change of shape runs ahead of it [s]; kept, and not yet acting.
+        damping_time: stress of a change of shape over that of the shape, by the rate of the change [s]: a mode of
+            angular frequency w loses the share 1 - exp(-pi damping_time w) of its amplitude in a period.
         friction: coefficient of friction on skin and on the ground.
         thickness: for contact and drawing alone [m].
         source: where its numbers come from.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -133,6 +135,47 @@ def slerp(a: np.ndarray, b: np.ndarray, s: np.ndarray) -> np.ndarray:
     wb = np.where(near, s, np.sin(s * angle) / sine)
     q = wa * a + wb * b
     return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def spline(samples: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Rotations along the samples with an angular velocity that never jumps; through each of them, and past none.
+
+    Between two samples a cubic Bezier curve on the sphere (Shoemake 1985), at whose ends the angular velocity is the
+    mean over both neighbours, and at most 1.5 times the slower of the two.
+
+    Args:
+        samples: (samples, ..., 4) unit quaternions wxyz, two at least.
+        place: (n,) in samples, from 0 to the last.
+
+    Returns:
+        (n, ..., 4) unit quaternions wxyz.
+    """
+    turns = _axis_angles(multiply(samples[1:], conjugate(samples[:-1])))
+    before, after = np.concatenate([turns[:1], turns]), np.concatenate([turns, turns[-1:]])
+    slower = np.minimum(np.linalg.norm(before, axis=-1), np.linalg.norm(after, axis=-1))[..., None]
+    mean = 0.5 * (before + after)
+    speed = np.linalg.norm(mean, axis=-1, keepdims=True)
+    mean *= np.minimum(1.0, 1.5 * slower / np.maximum(speed, 1e-12))
+    lower = np.minimum(np.floor(place).astype(np.int64), max(len(samples) - 2, 0))
+    upper = np.minimum(lower + 1, len(samples) - 1)
+    s = (place - lower).reshape(-1, *[1] * (samples.ndim - 2))
+    points = [
+        samples[lower],
+        multiply(from_axis_angle(mean[lower] / 3.0), samples[lower]),
+        multiply(from_axis_angle(-mean[upper] / 3.0), samples[upper]),
+        samples[upper],
+    ]
+    while len(points) > 1:
+        points = [slerp(first, second, s) for first, second in pairwise(points)]
+    return points[0]
+
+
+def _axis_angles(q: np.ndarray) -> np.ndarray:
+    """Rotation vectors (..., 3) [rad] of unit quaternions, the short way round."""
+    q = np.where(q[..., :1] < 0.0, -q, q)
+    size = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(size, q[..., :1])
+    return q[..., 1:] * np.where(size < 1e-12, 2.0, angle / np.maximum(size, 1e-12))
 
 
 def about_axis(axis: str, angle: np.ndarray) -> np.ndarray:

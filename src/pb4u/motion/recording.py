@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from pb4u.body.skeleton import PoseSequence, Skeleton, branch, joint_positions
 from pb4u.errors import InputError
-from pb4u.geometry.rotation import about_axis, between, conjugate, from_xyzw, multiply, rotate, slerp
+from pb4u.geometry.rotation import about_axis, between, conjugate, from_xyzw, multiply, rotate, slerp, spline
 from pb4u.motion.correspondences import ROLES, Blend, SkeletonRoles
 from pb4u.motion.reference_pose import leg_length
 
@@ -61,22 +61,22 @@ class Recording:
         return replace(self, poses=poses)
 
     def sampled(self, times: np.ndarray) -> PoseSequence:
-        """Poses at `times` (frames,) [s], within the recording: rotations by slerp, positions linearly.
+        """Poses at `times` (frames,) [s], within the recording, through its own; no velocity jumps.
 
         Args:
             times: (frames,) [s].
         """
-        position = np.clip(np.asarray(times) * self.poses.fps, 0.0, len(self.poses) - 1)
-        lower = np.minimum(np.floor(position + 1e-9).astype(np.int64), max(len(self.poses) - 2, 0))
-        upper = np.minimum(lower + 1, len(self.poses) - 1)
-        s = position - lower
+        from scipy.interpolate import PchipInterpolator
+
+        place = np.clip(np.asarray(times) * self.poses.fps, 0.0, len(self.poses) - 1)
+        # Times that differ from a recorded frame only by rounding take that frame as it is.
+        place = np.where(np.abs(place - np.rint(place)) < 1e-6, np.rint(place), place)
         roots, rotations = self.poses.root_positions, self.poses.rotations
         fps = 1.0 / float(times[1] - times[0]) if len(times) > 1 else self.poses.fps
-        return PoseSequence(
-            slerp(rotations[lower], rotations[upper], s[:, None]),
-            roots[lower] + s[:, None] * (roots[upper] - roots[lower]),
-            fps,
-        )
+        if (place == np.rint(place)).all():
+            frames = place.astype(np.int64)
+            return PoseSequence(rotations[frames], roots[frames], fps)
+        return PoseSequence(spline(rotations, place), PchipInterpolator(np.arange(len(roots)), roots)(place), fps)
 
     def facing_forward(self) -> Recording:
         """The same performance in axes in which the reference pose has Y up, faces +Z and has its left at +X.

@@ -91,7 +91,7 @@ class IncrementalPotential:
         feels_bodies = self.self_contact is not None and self.self_contact.feels_bodies
         if feels_bodies and contacts.now is not None and step.sags is not None:
             contacts = replace(contacts, now=contacts.now.raised(step.sags), raised=step.sags)
-        computed = self
+        terms = tuple(term for term in self.terms if term.acts_on(step.garments))
         if step.is_on_a_processor:
-            computed = replace(self, terms=tuple(term.compiled(step, contacts) for term in self.terms))
-        return StepPotential(computed, step, contacts)
+            terms = tuple(term.compiled(step, contacts) for term in terms)
+        return StepPotential(replace(self, terms=terms), step, contacts)

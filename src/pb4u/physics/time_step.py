@@ -45,6 +45,7 @@ class TimeStep:
             gives them no place: predictions then move them as any other.
         skinned_motion: (vertices, 3) [m] how far skinning moves each vertex over the step, or None.
         integrator: gives inertia, and the velocities and history of the state that the step leads to.
+        time: since the simulation began [s], at frame t.
 
     Raises:
         InputError: a time step that is not positive, or shapes that do not match.
@@ -58,6 +59,7 @@ class TimeStep:
     pin_positions: Tensor | None = None
     skinned_motion: Tensor | None = None
     integrator: Integrator = IMPLICIT_EULER
+    time: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.dt < float("inf"):
@@ -131,7 +133,7 @@ class TimeStep:
         return torch.where(self.garments.pinned[:, None], self.pin_positions, positions)
 
     def part(self, k: int, count: int, state: State) -> TimeStep:
-        """The k-th of `count` equal parts of the step; of states a whole step apart the first knows nothing.
+        """The k-th of `count` equal parts of the step.
 
         Args:
             k: number of the part, from 0.
@@ -141,11 +143,12 @@ class TimeStep:
         pins, motion = self.pin_positions, self.skinned_motion
         return replace(
             self,
-            state=state if k else replace(state, history=()),
+            state=state,
             collider=self.collider.between(k / count, (k + 1) / count),
             dt=self.dt / count,
             pin_positions=None if pins is None else torch.lerp(self.state.positions, pins, (k + 1) / count),
             skinned_motion=None if motion is None else motion / count,
+            time=self.time + k * self.dt / count,
         )
 
     @property
@@ -166,9 +169,20 @@ class TimeStep:
         """
         return self._moved(positions, positions - self.state.positions)
 
+    def reached_by_parts(self, last: State) -> State:
+        """State at the end of the step, whose parts led to it: places and velocities are those of the last of them.
+
+        Args:
+            last: at the end of the last part.
+        """
+        return self._arrived(last.positions, last.positions - self.state.positions, last.velocities)
+
     def _moved(self, positions: Tensor, move: Tensor) -> State:
-        state, rule = self.state, self.integrator
-        return State(positions, rule.velocities(state, self.dt, move), state.frame + 1, rule.history(state))
+        return self._arrived(positions, move, self.integrator.velocities(self.state, self.dt, move))
+
+    def _arrived(self, positions: Tensor, move: Tensor, velocities: Tensor) -> State:
+        history = self.integrator.history(self.state, self.dt, move, velocities)
+        return State(positions, velocities, self.state.frame + 1, history)
 
 
 def integrate(step: TimeStep, acceleration: Tensor) -> State:

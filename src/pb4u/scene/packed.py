@@ -7,7 +7,7 @@ material) and their world; worlds of different size, resolution and material bat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
@@ -22,7 +22,7 @@ from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.environment import STANDARD_GRAVITY
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
-from pb4u.garment.material import nearest_isotropic
+from pb4u.garment.material import Material, nearest_isotropic
 from pb4u.geometry.topology import joined_indices, offsets
 from pb4u.threads import to_device
 
@@ -39,11 +39,13 @@ class PackedGarments:
         face_areas: (faces,) rest areas [m^2].
         membrane: (faces, 4) moduli c11 (weft), c22 (warp), c12 and c33 [N/m] along the axes of the rest shape.
         stiffening: (faces, 2) stretch of a thread beyond which it stiffens [1], and by how much for a unit of it [N/m].
+        damping: (faces,) damping times [s].
         thickness: (faces,) [m].
         edges: (edges, 2) int64.
         edge_lengths: (edges,) rest lengths [m].
         hinges: (hinges, 4) int64 edge v0 v1, opposite v2, opposite v3.
         hinge_areas: (hinges,) both rest areas summed [m^2].
+        hinge_damping: (hinges,) mean damping time of both faces [s].
         bending: (hinges,) coefficient [J].
         friction: (vertices,) coefficient of friction on skin and ground.
         vertex_masses: (vertices,) [kg].
@@ -65,11 +67,13 @@ class PackedGarments:
     face_areas: Tensor
     membrane: Tensor
     stiffening: Tensor
+    damping: Tensor
     thickness: Tensor
     edges: Tensor
     edge_lengths: Tensor
     hinges: Tensor
     hinge_areas: Tensor
+    hinge_damping: Tensor
     bending: Tensor
     friction: Tensor
     vertex_masses: Tensor
@@ -97,8 +101,16 @@ class PackedGarments:
     @cached_property
     def stiffens(self) -> bool:
         """Whether some cloth grows stiffer where it is stretched; known without asking the device."""
-        materials = (each for garment in self.garments for each in garment.materials or (garment.material,))
-        return any(material.stiffening_stiffness > 0.0 for material in materials)
+        return any(material.stiffening_stiffness > 0.0 for material in self._materials)
+
+    @cached_property
+    def damps(self) -> bool:
+        """Whether some cloth resists a change of its shape; likewise."""
+        return any(material.damping_time > 0.0 for material in self._materials)
+
+    @property
+    def _materials(self) -> Iterator[Material]:
+        return (each for garment in self.garments for each in garment.materials or (garment.material,))
 
     @property
     def world_count(self) -> int:
@@ -298,11 +310,13 @@ def pack(
         face_areas=real([g.face_areas for g in garments]),
         membrane=per_face("membrane"),
         stiffening=per_face("stiffening"),
+        damping=per_face("damping_time"),
         thickness=per_face("thickness"),
         edges=index([g.topology.edges for g in garments]),
         edge_lengths=real([g.edge_lengths for g in garments]),
         hinges=index([g.topology.hinges for g in garments]),
         hinge_areas=real([g.face_areas[g.topology.hinge_faces].sum(axis=1) for g in garments]),
+        hinge_damping=real([g.of_faces("damping_time")[g.topology.hinge_faces].mean(axis=1) for g in garments]),
         bending=real([g.hinge_bending for g in garments]),
         friction=real([_mean_at_vertices(g, g.of_faces("friction")) for g in garments]),
         vertex_masses=real([g.vertex_masses for g in garments]),

@@ -15,7 +15,7 @@ class State:
         positions: (vertices, 3) [m].
         velocities: (vertices, 3) [m/s].
         frame: index of the frame in its scene, lead-in included.
-        history: (vertices, 3) each, what the rule of integration keeps of the states before; without, it begins anew.
+        history: what the rule of integration keeps of the step that led here; without, it begins anew.
     """
 
     positions: Tensor

@@ -153,6 +153,8 @@ def simulator_of(run: Run) -> Simulator:
     from pb4u.physics.incremental_potential import IncrementalPotential
     from pb4u.physics.integrator import INTEGRATORS
     from pb4u.physics.solver.implicit_steps import free_flight
+    from pb4u.physics.terms.air import Air
+    from pb4u.physics.terms.damping import DAMPING
     from pb4u.simulation.first_frame import FIRST_FRAMES
     from pb4u.simulation.penetration_response import ContactResponse
     from pb4u.simulation.simulator import SkinningSimulator
@@ -163,6 +165,10 @@ def simulator_of(run: Run) -> Simulator:
     model = chosen_model(run)
     refuse_useless(run)
     potential = IncrementalPotential()
+    for term in DAMPING:
+        potential = potential.with_term(term)
+    if run.air:
+        potential = potential.with_term(Air())
     if run.self_contact is not False:
         potential = potential.with_self_contact(bodies=run.contact)
     contact = ContactResponse() if run.contact else None

@@ -22,6 +22,7 @@ from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.integrator import IMPLICIT_EULER, Integrator
 from pb4u.physics.solver.implicit_steps import free_flight
 from pb4u.physics.solver.newton_solver import Solution
+from pb4u.physics.terms.air import Air
 from pb4u.physics.time_step import DivergedError, TimeStep, require_finite
 from pb4u.run import Run
 from pb4u.scene.colliders import ColliderPose
@@ -68,7 +69,7 @@ class StepwiseSimulator(Simulator):
             "self_contact": self.potential.self_contact is not None,
             "time_integration": self.integrator.name,
             "friction_law": Run.friction_law,
-            "air": Run.air,
+            "air": Air.name in self.potential.names,
         }
 
     @abstractmethod

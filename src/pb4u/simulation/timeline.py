@@ -229,10 +229,11 @@ class Timeline:
         collider = ColliderFrame(self.pose(t - 1), self.pose(t), self.pose(t + 1))
         after = self.skinned(t + 1)
         motion = after - self.skinned(t)
-        return TimeStep(self.garments, state, collider, self.dt, self.environment, after, motion, self.integrator)
+        around = self.environment, after, motion, self.integrator
+        return TimeStep(self.garments, state, collider, self.dt, *around, time=t * self.dt)
 
     def settling_from(self, state: State) -> TimeStep:
-        """Long time step from rest on the bodies standing still at the state's frame.
+        """Long time step from rest, in still air, on the bodies standing still at the state's frame.
 
         Args:
             state: state and its frame.
@@ -243,7 +244,7 @@ class Timeline:
             State(state.positions, torch.zeros_like(state.velocities), state.frame),
             ColliderFrame(still, still, still),
             SETTLING_DT,
-            self.environment,
+            self.environment.in_still_air,
             pins,
             torch.zeros_like(pins),
             self.integrator,

@@ -86,5 +86,5 @@ def in_parts(step: TimeStep, count: int, solve: Callable[[TimeStep], Solution]) 
         state = part.reached(solution.positions)
         made, converged = made + solution.iterations, converged and solution.converged
     if count > 1:
-        state = State(state.positions, state.velocities, step.state.frame + 1)
+        state = step.reached_by_parts(state)
     return state, replace(solution, iterations=made, converged=converged)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pb4u.collision.jit import as_float64
 from pb4u.physics.contact.contact_set import ContactSet
-from pb4u.physics.terms.element_loops import GRADIENT, VALUE, Record, element_loops
+from pb4u.physics.terms.element_loops import GRADIENT, VALUE, Record, element_loops, rows
 from pb4u.physics.terms.energy_term import EnergyTerm, dot, sum_by_garment
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
@@ -26,7 +26,7 @@ def _hinge(
     blocks: np.ndarray,
     factors: np.ndarray,
 ) -> float:
-    """One hinge; its number is k / (4 (A1 + A2)) [J/m^2].
+    """One hinge; its numbers are k / (4 (A1 + A2)) [J/m^2], and l theta [m] at which it bends back with no force.
 
     The second derivative is Gauss-Newton's: that times the outer product of d(l theta)/dx.
     """
@@ -39,7 +39,7 @@ def _hinge(
     n = (to_d[1] * e[2] - to_d[2] * e[1], to_d[2] * e[0] - to_d[0] * e[2], to_d[0] * e[1] - to_d[1] * e[0])
     sine = e[0] * (m[1] * n[2] - m[2] * n[1]) + e[1] * (m[2] * n[0] - m[0] * n[2]) + e[2] * (m[0] * n[1] - m[1] * n[0])
     angle = np.arctan2(sine / length, m[0] * n[0] + m[1] * n[1] + m[2] * n[2])
-    stiffness, bend = numbers[hinge, 0], length * angle
+    stiffness, bend = numbers[hinge, 0], length * angle - numbers[hinge, 1]
     energy = 0.5 * stiffness * bend * bend
     if wanted == VALUE:
         return energy
@@ -77,25 +77,49 @@ class Bending(EnergyTerm):
     loops = element_loops(_hinge, 4)
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        garments, tiny = step.garments, 1e-30 if x.dtype == torch.float64 else 1e-20
-        x0, x1, x2, x3 = (x.index_select(0, garments.hinges[:, k]) for k in range(4))
-        edge = x1 - x0
-        length = edge.norm(dim=1).clamp_min(tiny)
-        n0, n1 = torch.linalg.cross(edge, x2 - x0), torch.linalg.cross(x3 - x0, edge)
-        bend = length * torch.atan2(dot(edge, torch.linalg.cross(n0, n1)) / length, dot(n0, n1))
-        energy = 0.5 * _stiffness(garments) * bend * bend
+        garments, bend = step.garments, bends(step.garments, x)
+        energy = 0.5 * hinge_stiffness(garments) * bend * bend
         return sum_by_garment(energy, garments.hinge_garment, garments.garment_count)
 
     def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
         return step.garments.hinges
 
     def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
-        garments = step.garments
-        numbers = as_float64(_stiffness(garments))[:, None]
-        records = (Record(garments.hinges.numpy(), garments.hinge_garment.numpy(), numbers),)
+        records = (hinge_record(step.garments, hinge_stiffness(step.garments), 0.0),)
         return lambda _: records
 
 
-def _stiffness(garments: PackedGarments) -> Tensor:
-    """k / (4 (A1 + A2)) (hinges,) [J/m^2]."""
+def bends(garments: PackedGarments, x: Tensor) -> Tensor:
+    """Length times dihedral angle (hinges,) [m] at x (vertices, 3) [m].
+
+    Args:
+        garments: whose hinges they are.
+        x: (vertices, 3) [m].
+    """
+    tiny = 1e-30 if x.dtype == torch.float64 else 1e-20
+    x0, x1, x2, x3 = (x.index_select(0, garments.hinges[:, k]) for k in range(4))
+    edge = x1 - x0
+    length = edge.norm(dim=1).clamp_min(tiny)
+    n0, n1 = torch.linalg.cross(edge, x2 - x0), torch.linalg.cross(x3 - x0, edge)
+    return length * torch.atan2(dot(edge, torch.linalg.cross(n0, n1)) / length, dot(n0, n1))
+
+
+def hinge_stiffness(garments: PackedGarments) -> Tensor:
+    """k / (4 (A1 + A2)) (hinges,) [J/m^2].
+
+    Args:
+        garments: whose hinges they are.
+    """
     return garments.bending / (4.0 * garments.hinge_areas)
+
+
+def hinge_record(garments: PackedGarments, stiffness: Tensor, unbent: Tensor | float) -> Record:
+    """All hinges with what the law of a hinge reads.
+
+    Args:
+        garments: the packed garments.
+        stiffness: (hinges,) [J/m^2].
+        unbent: (hinges,) l theta [m] at which a hinge bends back with no force, or one for all.
+    """
+    numbers = rows(len(garments.hinges), as_float64(stiffness), unbent if np.isscalar(unbent) else as_float64(unbent))
+    return Record(garments.hinges.numpy(), garments.hinge_garment.numpy(), numbers)

@@ -17,6 +17,7 @@ from pb4u.physics.terms.element_loops import ElementLoops, Record
 from pb4u.physics.terms.pair_stiffness import PairStiffness
 from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.time_step import TimeStep
+from pb4u.scene.packed import PackedGarments
 
 Tangent = Callable[[np.ndarray, Stiffness, np.ndarray, np.ndarray], None]
 """A term's part of the quadratic model of a Newton step, which is relinearised where the step leads.
@@ -51,6 +52,14 @@ class EnergyTerm(ABC):
             contacts: contacts of the step.
             x: (vertices, 3) [m] next positions.
         """
+
+    def acts_on(self, garments: PackedGarments) -> bool:
+        """Whether it is anything but zero for some state of these garments.
+
+        Args:
+            garments: the packed garments.
+        """
+        return True
 
     def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
         """Energies (garments,) [J] and the gradient (vertices, 3) [N] of their sum; not differentiable.

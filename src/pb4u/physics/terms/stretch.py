@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from pb4u.collision.jit import as_float64
@@ -12,6 +13,7 @@ from pb4u.physics.contact.contact_set import ContactSet
 from pb4u.physics.terms.element_loops import GRADIENT, VALUE, Record, element_loops, rows
 from pb4u.physics.terms.energy_term import EnergyTerm, columns, sum_by_garment
 from pb4u.physics.time_step import TimeStep
+from pb4u.scene.packed import PackedGarments
 
 
 def _face(
@@ -25,7 +27,8 @@ def _face(
     factors: np.ndarray,
 ) -> float:
     """One face; its numbers are the inverse rest shape [1/m] by rows, its four moduli times the rest area [J], the
-    stretch beyond which threads stiffen, and by how much for each unit of stretch, times the rest area [J].
+    stretch beyond which threads stiffen, by how much for each unit of stretch, times the rest area [J], and the Green
+    strain at which the moduli pull at nothing: 0 of its stretch.
 
     The second derivative is exact where the stress is tensile; what compression adds is multiples of the identity.
     """
@@ -39,8 +42,9 @@ def _face(
     g22 = 0.5 * (v[0] * v[0] + v[1] * v[1] + v[2] * v[2] - 1.0)
     g12 = 0.5 * (u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
     c11, c22, c12, c33 = numbers[face, 4], numbers[face, 5], numbers[face, 6], numbers[face, 7]
-    s11, s22, s12 = c11 * g11 + c12 * g22, c12 * g11 + c22 * g22, 2.0 * c33 * g12
-    energy = 0.5 * (s11 * g11 + s22 * g22) + s12 * g12
+    e11, e22, e12 = g11 - numbers[face, 10], g22 - numbers[face, 11], g12 - numbers[face, 12]
+    s11, s22, s12 = c11 * e11 + c12 * e22, c12 * e11 + c22 * e22, 2.0 * c33 * e12
+    energy = 0.5 * (s11 * e11 + s22 * e22) + s12 * e12
     stiffening = numbers[face, 9]
     if stiffening > 0.0:
         # The energy of a thread depends on its own stretch alone, so it adds to one stress and to one modulus.
@@ -111,15 +115,11 @@ class Stretch(EnergyTerm):
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         garments = step.garments
-        a, b, c = columns(x, garments.faces.T.reshape(-1)).reshape(3, 3, -1).unbind(1)
-        e1, e2, d = b - a, c - a, garments.inverse_rest_shape
-        u, v = e1 * d[:, 0, 0] + e2 * d[:, 1, 0], e1 * d[:, 0, 1] + e2 * d[:, 1, 1]
-        g11, g22, g12 = 0.5 * ((u * u).sum(0) - 1.0), 0.5 * ((v * v).sum(0) - 1.0), 0.5 * (u * v).sum(0)
-        c11, c22, c12, c33 = garments.membrane.unbind(1)
-        density = 0.5 * (c11 * g11 * g11 + c22 * g22 * g22) + c12 * g11 * g22 + 2.0 * c33 * g12 * g12
+        strains, threads = _strains(garments, x)
+        density = elastic_density(garments, strains)
         if garments.stiffens:
             limit, stiffening = garments.stiffening.unbind(1)
-            for thread in (u, v):
+            for thread in threads:
                 beyond = ((thread * thread).sum(0).clamp_min(1e-30).sqrt() - 1.0 - limit).clamp_min(0.0)
                 density = density + stiffening * beyond**3 / 6.0
         return sum_by_garment(garments.face_areas * density, garments.face_garment, garments.garment_count)
@@ -129,8 +129,60 @@ class Stretch(EnergyTerm):
 
     def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
         garments = step.garments
-        inverse, moduli = as_float64(garments.inverse_rest_shape), as_float64(garments.membrane)
-        areas, (limit, stiffening) = as_float64(garments.face_areas), as_float64(garments.stiffening).T
-        numbers = rows(len(areas), inverse.reshape(-1, 4), areas[:, None] * moduli, limit, areas * stiffening)
-        records = (Record(garments.faces.numpy(), garments.face_garment.numpy(), numbers),)
+        limit, stiffening = as_float64(garments.stiffening).T
+        records = (face_record(garments, 1.0, limit, as_float64(garments.face_areas) * stiffening, np.zeros((1, 3))),)
         return lambda _: records
+
+
+def green_strains(garments: PackedGarments, x: Tensor) -> Tensor:
+    """Green strains g11, g22 and g12 (3, faces) along the axes of the rest shape, at x (vertices, 3) [m].
+
+    Args:
+        garments: whose faces they are of.
+        x: (vertices, 3) [m].
+    """
+    return _strains(garments, x)[0]
+
+
+def _strains(garments: PackedGarments, x: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor]]:
+    """Green strains (3, faces), and where both axes of the rest shape lead, (3, faces) each."""
+    a, b, c = columns(x, garments.faces.T.reshape(-1)).reshape(3, 3, -1).unbind(1)
+    e1, e2, d = b - a, c - a, garments.inverse_rest_shape
+    u, v = e1 * d[:, 0, 0] + e2 * d[:, 1, 0], e1 * d[:, 0, 1] + e2 * d[:, 1, 1]
+    along = 0.5 * ((u * u).sum(0) - 1.0), 0.5 * ((v * v).sum(0) - 1.0), 0.5 * (u * v).sum(0)
+    return torch.stack(along), (u, v)
+
+
+def elastic_density(garments: PackedGarments, strains: Tensor) -> Tensor:
+    """Energy by rest area (faces,) [J/m^2] of the four moduli.
+
+    Args:
+        garments: whose moduli they are.
+        strains: (3, faces) g11, g22 and g12.
+    """
+    g11, g22, g12 = strains.unbind(0)
+    c11, c22, c12, c33 = garments.membrane.unbind(1)
+    return 0.5 * (c11 * g11 * g11 + c22 * g22 * g22) + c12 * g11 * g22 + 2.0 * c33 * g12 * g12
+
+
+def face_record(
+    garments: PackedGarments,
+    share: np.ndarray | float,
+    limit: np.ndarray | float,
+    stiffening: np.ndarray | float,
+    unstrained: np.ndarray,
+) -> Record:
+    """All faces with what the law of a face reads.
+
+    Args:
+        garments: the packed garments.
+        share: (faces,) of the moduli [1], or one for all.
+        limit: (faces,) stretch beyond which threads stiffen, or one for all.
+        stiffening: (faces,) by how much for each unit of stretch, times the rest area [J], or one for all.
+        unstrained: (faces, 3) Green strain at which the moduli pull at nothing, or one for all.
+    """
+    areas, inverse = as_float64(garments.face_areas), as_float64(garments.inverse_rest_shape)
+    moduli = (share * areas)[:, None] * as_float64(garments.membrane)
+    unstrained = np.broadcast_to(unstrained, (len(areas), 3))
+    numbers = rows(len(areas), inverse.reshape(-1, 4), moduli, limit, stiffening, unstrained)
+    return Record(garments.faces.numpy(), garments.face_garment.numpy(), numbers)

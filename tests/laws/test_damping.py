@@ -1,0 +1,103 @@
+"""Damping of cloth against the decay of one mode, and what it must not do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from tests.physics.shapes import EVALUATION, nobody, packed, sheet, time_step, tube
+
+from pb4u.environment import Environment
+from pb4u.garment.material import Material
+from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.integrator import SECOND_ORDER
+from pb4u.physics.solver.implicit_steps import free_flight
+from pb4u.physics.solver.newton_solver import Solver
+from pb4u.physics.step_potential import StepPotential
+from pb4u.physics.terms.damping import DAMPING
+from pb4u.physics.terms.inertia import Inertia
+from pb4u.physics.terms.stiffness_matrix import StiffnessPattern
+from pb4u.physics.time_step import TimeStep
+from pb4u.scene.state import State
+
+STIFF = Material.isotropic(density=0.2, lame_mu=1e6, lame_lambda=0.0, bending=0.016)
+
+
+def damped() -> IncrementalPotential:
+    potential = IncrementalPotential()
+    for term in DAMPING:
+        potential = potential.with_term(term)
+    return potential
+
+
+def shaken() -> tuple[StepPotential, torch.Tensor]:
+    """Both dampings of a tube, between two crumpled states."""
+    garments = packed(tube(8, 4, 0.15, 0.3, replace(EVALUATION, damping_time=0.02)))
+    noise = torch.randn(2, garments.vertex_count, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    before = garments.rest_positions + 0.003 * noise[0]
+    step = time_step(garments, State(before, torch.zeros_like(before), 0))
+    return IncrementalPotential(DAMPING).of(step), before + 0.003 * noise[1]
+
+
+@pytest.mark.parametrize("name", [term.name for term in DAMPING])
+def test_both_forms_have_the_slope_of_their_energy(name: str) -> None:
+    step, x = shaken()
+    term, compiled = next(each for each in DAMPING if each.name == name), step.potential.term(name)
+    energies, expected = term.energies_and_gradient(step.step, step.contacts, x)
+    found, gradient = compiled.energies_and_gradient(step.step, step.contacts, x)
+    assert float(expected.abs().max()) > 1e-6
+    torch.testing.assert_close(found, energies, rtol=1e-10, atol=0.0)
+    torch.testing.assert_close(gradient, expected, rtol=1e-9, atol=1e-10 * float(expected.abs().max()))
+    start = step.step.state.positions
+    assert float(compiled.energies(step.step, step.contacts, start).sum()) == pytest.approx(0.0, abs=1e-25)
+
+
+def test_the_second_derivative_is_positive() -> None:
+    step, x = shaken()
+    matrix = step.stiffness(x, StiffnessPattern(step.step.garments, step.elements())).matrix().toarray()
+    assert np.linalg.eigvalsh(matrix).min() > -1e-10 * np.abs(matrix).max()
+
+
+def test_cloth_that_keeps_its_shape_is_not_damped() -> None:
+    step, _ = shaken()
+    turn, _ = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64))
+    moved = step.step.state.positions @ (turn * torch.det(turn)).T + 1.0
+    assert float(step.energies_and_gradient(moved)[1].abs().max()) < 1e-9
+
+
+def test_cloth_without_damping_has_no_such_terms() -> None:
+    potential = damped().of(time_step(packed(sheet(2, 2))))
+    assert potential.potential.names == IncrementalPotential().names
+
+
+def decrement(damping_time: float, fps: int) -> tuple[float, float]:
+    """Logarithmic decrement of a strip that vibrates about its clamped end, and its angular frequency [1/s]."""
+    strip = sheet(8, 1, 0.2, 0.025, replace(STIFF, damping_time=damping_time))
+    garments = packed(strip.with_pins(strip.vertices[:, 0] < 0.026))
+    rest, potential = garments.rest_positions, damped().with_term(Inertia())
+    along = ((rest[:, 0] - 0.025) / 0.175).clamp_min(0.0)
+    # The first mode of a clamped beam, nearly.
+    velocities = torch.zeros_like(rest)
+    velocities[:, 2] = 0.02 * along**2 * (6.0 - 4.0 * along + along**2) / 3.0
+    state, ends = State(rest, velocities, 0), []
+    around = Environment((0.0, 0.0, 0.0), ground=None)
+    for _ in range(round(1.6 * fps)):
+        step = TimeStep(garments, state, nobody(), 1.0 / fps, around, rest, integrator=SECOND_ORDER)
+        state = step.reached(Solver(1e-9).minimise(potential.of(step), free_flight(step)).positions)
+        ends.append(float(state.positions[rest[:, 0] > 0.199, 2].mean()))
+    places = np.array(ends)
+    middle = places[1:-1]
+    tops = 1 + np.flatnonzero((middle > places[:-2]) & (middle >= places[2:]))
+    curve = places[tops - 1] - 2.0 * places[tops] + places[tops + 1]
+    slope = 0.5 * (places[tops + 1] - places[tops - 1])
+    heights, times = places[tops] - slope**2 / (2.0 * curve), (tops - slope / curve) / fps
+    return float(-np.polyfit(np.arange(len(tops)), np.log(heights), 1)[0]), float(2 * np.pi / np.diff(times).mean())
+
+
+@pytest.mark.parametrize("fps", [60, 120])
+def test_a_mode_decays_by_its_damping_time_at_any_rate_of_frames(fps: int) -> None:
+    own, _ = decrement(0.0, fps)
+    found, frequency = decrement(0.004, fps)
+    assert found - own == pytest.approx(np.pi * 0.004 * frequency, rel=0.05)
