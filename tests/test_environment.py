@@ -33,7 +33,7 @@ MOON = pb4u.Environment(gravity=(0.0, -1.62, 0.0), air_density=0.0, ground=None)
         ({"air_density": True}, "air_density must be a number, 0 or more, not True"),
         ({"ground": float("inf")}, "ground must be a finite number, not inf"),
         ({"wind": (0, 0, 300)}, "wind must be 50 m/s or less, not 300"),
-        ({"gusts": -1}, "gusts must be a whole number from 0 on, their seed, not -1"),
+        ({"gusts": -1}, "gusts must be a whole number, 0 or more, not -1"),
     ],
 )
 def test_what_no_environment_is_is_refused_in_one_sentence(given: dict[str, Any], says: str) -> None:

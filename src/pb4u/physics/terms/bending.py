@@ -113,7 +113,7 @@ def hinge_stiffness(garments: PackedGarments) -> Tensor:
     return garments.bending / (4.0 * garments.hinge_areas)
 
 
-def hinge_record(garments: PackedGarments, stiffness: Tensor, unbent: Tensor | float) -> Record:
+def hinge_record(garments: PackedGarments, stiffness: Tensor, unbent: np.ndarray | float) -> Record:
     """All hinges with what the law of a hinge reads.
 
     Args:
@@ -121,5 +121,5 @@ def hinge_record(garments: PackedGarments, stiffness: Tensor, unbent: Tensor | f
         stiffness: (hinges,) [J/m^2].
         unbent: (hinges,) l theta [m] at which a hinge bends back with no force, or one for all.
     """
-    numbers = rows(len(garments.hinges), as_float64(stiffness), unbent if np.isscalar(unbent) else as_float64(unbent))
+    numbers = rows(len(garments.hinges), as_float64(stiffness), unbent)
     return Record(garments.hinges.numpy(), garments.hinge_garment.numpy(), numbers)

@@ -61,7 +61,8 @@ class BendingDamping(Bending):
         return sum_by_garment(energy, garments.hinge_garment, garments.garment_count)
 
     def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
-        records = (hinge_record(step.garments, _stiffness(step), bends(step.garments, step.state.positions.double())),)
+        bent = as_float64(bends(step.garments, step.state.positions.double()))
+        records = (hinge_record(step.garments, _stiffness(step), bent),)
         return lambda _: records
 
 
