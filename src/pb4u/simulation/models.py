@@ -163,7 +163,7 @@ def simulator_of(run: Run) -> Simulator:
     model = chosen_model(run)
     refuse_useless(run)
     _require_known(model)
-    potential = IncrementalPotential()
+    potential = IncrementalPotential().with_friction(run.friction_law)
     if run.self_contact is not False:
         potential = potential.with_self_contact(bodies=run.contact)
     contact = ContactResponse() if run.contact else None
