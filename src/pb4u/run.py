@@ -161,7 +161,7 @@ class Run:
         omitted: Body vertices left out of contact: smpl_aux.pkl, or a list. Default: the body's own.
         rest_shape: Rest shape of built-in garments: moulded on the body.
         friction_law: Friction on bodies and on the ground: coulomb, by what presses and alike in all directions; or the
-            paper's, which resists sliding down by a hundredth of that.
+            paper's, which resists sliding down by a hundredth of that. auto is coulomb wherever the solver takes part.
         time_integration: Rule of integration in time.
         air: Whether air drags cloth, which it does not yet.
         environment: Gravity, air and ground: the section [environment] of a scene file.
@@ -202,7 +202,7 @@ class Run:
     as_recorded: Annotated[bool, Flag(RESEARCH, names=("--as-recorded/--retargeted",))] = False
     omitted: Annotated[str | Path | None, Flag(RESEARCH, "FILE", is_file=True)] = None
     rest_shape: Annotated[Literal["moulded"], Flag(SCENE, "NAME")] = "moulded"
-    friction_law: Annotated[Literal["coulomb", "paper"], _model("NAME", applies_to=STEPS)] = "paper"
+    friction_law: Annotated[Literal["auto", "coulomb", "paper"], _model("NAME", applies_to=STEPS)] = "auto"
     time_integration: Annotated[Literal["implicit-euler"], _model("NAME", applies_to=STEPS)] = "implicit-euler"
     air: Annotated[bool, _model(applies_to=STEPS)] = False
     environment: Environment = USUAL
@@ -325,7 +325,8 @@ class Run:
     def open(path: str | Path) -> Run:
         """Read a scene file (TOML): `[scene]`, one `[[garments]]` for each garment, `[run]`, `[environment]`.
 
-        The entries are the fields of `Run`, of `WornGarment` and of `Environment`; what is left out has its default.
+        The entries are the fields of `Run`, of `WornGarment` and of `Environment`; what is left out has its default,
+        but for friction, which is the paper's.
 
         Args:
             path: the file; paths in it are relative to it.

@@ -79,8 +79,7 @@ def fallen(stretch: float, share: float, law: str = "coulomb") -> float:
     Its tension T is that of a strip whose sides are free. It presses the pole by 2 pi T in all.
     """
     radius, height = 0.1, 0.05
-    stiff = MATERIAL.thickness * (2.0 * MATERIAL.lame_mu + MATERIAL.lame_lambda)
-    across = MATERIAL.thickness * MATERIAL.lame_lambda
+    stiff, across = MATERIAL.warp_stiffness, MATERIAL.coupling_stiffness
     per_width = (stiff - across**2 / stiff) * ((1.0 + stretch) ** 2 - 1.0) / 2.0 * (1.0 + stretch)
     depth = np.sqrt(per_width / radius * REFERENCE_AREA / (3.0 * Collision().weight))
     worn = radius + Collision().clearance - depth
