@@ -132,12 +132,14 @@ def friction(frozen: StepPotential, x: Tensor, softening: float = 0.8) -> Tensor
     else:
         touching = distance < term.radius
     force = STANDARD_GRAVITY * step.garments.vertex_masses
+    weights = torch.diag(x.new_tensor([1.0 + 1e-4, 1e-4, 1.0 + 1e-4]))
+    if term.law == "coulomb":
+        force, weights = torch.zeros_like(force), torch.eye(3, dtype=x.dtype)
     if term.load is not None:
         depth = (term.load.clearance - distance).clamp(0.0, 2.0 * term.load.clearance)
         force = force.maximum(3.0 * term.load.weight / REFERENCE_AREA * step.garments.vertex_areas * depth**2)
     limit = torch.where(touching, step.garments.friction * force, 0.0)
     across = torch.eye(3, dtype=x.dtype) - normal[:, :, None] * normal[:, None, :]
-    weights = torch.diag(x.new_tensor([1.0 + 1e-4, 1e-4, 1.0 + 1e-4]))
     slip = torch.einsum("vab,vb->va", across, x - anchor)
     magnitude = (torch.einsum("va,ab,vb->v", slip, weights, slip) + (term.smoothing * step.dt) ** 2).sqrt()
     along = torch.einsum("vab,bc,vc->va", across, weights, slip) / magnitude[:, None]

@@ -161,7 +161,8 @@ class Run:
             --arms-away 20 is the released code's separate_arms.
         omitted: Body vertices left out of contact: smpl_aux.pkl, or a list. Default: the body's own.
         rest_shape: Rest shape of built-in garments: moulded on the body.
-        friction_law: Friction of cloth against bodies and cloth: the paper's.
+        friction_law: Friction on bodies and on the ground: coulomb, by what presses and alike in all directions; or the
+            paper's, which resists sliding down by a hundredth of that. auto is coulomb wherever the solver takes part.
         time_integration: Rule of integration in time.
         air: Air that presses on moving cloth and drags it; needed for wind.
         environment: Gravity, air and ground; flags and entries of jobs files are the fields of `Environment`.
@@ -202,7 +203,7 @@ class Run:
     as_recorded: Annotated[bool, Flag(RESEARCH, names=("--as-recorded/--retargeted",))] = False
     omitted: Annotated[str | Path | None, Flag(RESEARCH, "FILE", is_file=True)] = None
     rest_shape: Annotated[Literal["moulded"], Flag(SCENE, "NAME")] = "moulded"
-    friction_law: Annotated[Literal["paper"], _model("NAME", applies_to=STEPS)] = "paper"
+    friction_law: Annotated[Literal["auto", "coulomb", "paper"], _model("NAME", applies_to=STEPS)] = "auto"
     time_integration: Annotated[Literal["implicit-euler", "bdf2"], _model("NAME", applies_to=STEPS)] = "implicit-euler"
     air: Annotated[bool, _model(applies_to=STEPS)] = False
     environment: Annotated[Environment, Flag(SCENE, applies_to=STEPS)] = USUAL
@@ -337,7 +338,8 @@ class Run:
     def open(path: str | Path) -> Run:
         """Read a scene file (TOML): `[scene]`, one `[[garments]]` for each garment, `[run]`, `[environment]`.
 
-        The entries are the fields of `Run`, of `WornGarment` and of `Environment`; what is left out has its default.
+        The entries are the fields of `Run`, of `WornGarment` and of `Environment`; what is left out has its default,
+        but for friction, which is the paper's.
 
         Args:
             path: the file; paths in it are relative to it.

@@ -1,6 +1,7 @@
 """Scene files: a `Run` as TOML, with `[scene]`, one `[[garments]]` for each garment, `[run]` and `[environment]`.
 
-The entries are the fields of `Run`, `WornGarment` and `Environment`; what is left out has its default.
+The entries are the fields of `Run`, `WornGarment` and `Environment`; what is left out has its default, or what it meant
+before there was such an entry (`OF_BEFORE`).
 """
 
 from __future__ import annotations
@@ -20,6 +21,9 @@ from pb4u.run import SECTIONS, Run, WornGarment, entries, located, names_file
 
 FORMAT_VERSION = 1
 """Version of the scene files that are read and written."""
+
+OF_BEFORE: dict[str, Any] = {"friction_law": "paper"}
+"""What files leave out that were written before the entry was there."""
 
 _HEADING = """\
 # A scene of pb4u: run it with `pb4u simulate` and the name of this file.
@@ -46,7 +50,7 @@ def read_scene(path: Path) -> Run:
         if not isinstance(listed, list):
             raise InputError("Each garment is a section of its own, written [[garments]].")
         worn = tuple(WornGarment(**_section("[[garments]]", each, "garments", path.parent)) for each in listed)
-        given: dict[str, Any] = {}
+        given = dict(OF_BEFORE)
         for name in SECTIONS:
             given |= _section(f"[{name}]", tables.get(name, {}), name, path.parent)
         return Run(worn).with_entries(given)

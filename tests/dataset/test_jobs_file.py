@@ -42,6 +42,15 @@ def test_a_product_is_every_combination_and_lists_follow(tmp_path: Path) -> None
     assert (runs[-1].frames, runs[-1].body_shape) == (9, {"height": 0.7})
 
 
+def test_files_of_before_mean_what_they_meant(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text("[scene]\nframes = 5\n")
+    plain, opened, chosen = jobs(
+        tmp_path, '[[clips]]\n[[clips]]\nscene = "scene.toml"\n[[clips]]\nfriction_law = "coulomb"\n'
+    )
+    assert (Run().friction_law, Run.open(tmp_path / "scene.toml").friction_law) == ("auto", "paper")
+    assert [run.friction_law for run in (plain, opened, chosen)] == ["paper", "paper", "coulomb"]
+
+
 def test_lists_within_lists_are_one_for_each_garment(tmp_path: Path) -> None:
     (run,) = jobs(
         tmp_path,

@@ -19,7 +19,7 @@ from tests.physics.shapes import (
     sheet,
     tube,
 )  # fmt: skip
-from tests.readable_stiffness import readable_stiffness
+from tests.readable_stiffness import made_of, readable_stiffness
 
 from pb4u.measures.released_energies import released_potential
 from pb4u.physics.incremental_potential import IncrementalPotential
@@ -38,6 +38,8 @@ DTYPES = [(torch.float64, 1e-10), (torch.float32, 1e-5)]
 FLOOR = np.array([[-9.0, 0.0, -9.0], [-9.0, 0.0, 9.0], [9.0, 0.0, 9.0], [9.0, 0.0, -9.0]])
 FLOOR_FACES = np.array([[0, 1, 2], [0, 2, 3]])
 NAMES = ("stretch", "bending", "gravity", "inertia", "collision", "friction")
+LAWS = [*((name, "paper") for name in NAMES), ("friction", "coulomb")]
+"""Names of the terms with the law of friction of their potential."""
 
 
 def vector(x: float, y: float, z: float) -> torch.Tensor:
@@ -142,6 +144,20 @@ def test_sliding_down_is_nearly_free() -> None:
     assert down == pytest.approx(0.01 * aside, rel=0.2)
 
 
+def test_by_coulomb_a_wall_holds_alike_in_all_directions_by_what_presses_it() -> None:
+    garments = packed(sheet(3, 3))
+    wall, apart = FLOOR[:, [0, 2, 1]], 1.2e-3
+    x = garments.rest_positions + vector(0.0, 0.0, apart)
+    body, law = collider(wall, FLOOR_FACES[:, ::-1].copy()), IncrementalPotential().with_friction("coulomb")
+    step, smoothing = potential_of(garments, at_rest(garments, x), body, law), 1e-3 * DT
+    pressed = 3 * 5e3 / REFERENCE_AREA * 1.0 * (2e-3 - apart) ** 2
+    for direction in (vector(0.0, -1.0, 0.0), vector(1.0, 0.0, 0.0), vector(-0.6, 0.8, 0.0)):
+        expected = 0.5 * pressed * (np.hypot(0.02, smoothing) - smoothing)
+        assert value(step, x + 0.02 * direction, "friction") == pytest.approx(expected, rel=1e-9)
+    above = at_rest(garments, x + vector(0.0, 0.0, 1e-3))
+    assert value(potential_of(garments, above, body, law), x + vector(0.02, 0.0, 0.0), "friction") == 0.0
+
+
 def test_friction_carries_the_load_of_the_step_before() -> None:
     garments = packed(sheet(3, 3))
     x = garments.rest_positions[:, [0, 2, 1]] + vector(-0.5, 1e-3, -0.5)
@@ -168,22 +184,22 @@ def test_friction_carries_the_load_of_the_ground_too() -> None:
     assert value(loaded, moved, "friction") == pytest.approx(ratio * value(usual, moved, "friction"), rel=1e-9)
 
 
-def crumpled(seed: int = 0) -> tuple[StepPotential, torch.Tensor]:
+def crumpled(seed: int = 0, law: str = "paper") -> tuple[StepPotential, torch.Tensor]:
     garments = packed(tube(12, 6, 0.155, 0.5))
     body = capsule()
     generator = torch.Generator().manual_seed(seed)
     noise = torch.randn(2, garments.vertex_count, 3, generator=generator, dtype=torch.float64)
     state = State(garments.rest_positions, 0.1 * noise[0], 3)
     frame = collider(body.vertices, body.faces, np.array([0.01, 0.002, 0.004]))
-    return potential_of(garments, state, frame, ground=0.0), garments.rest_positions + 0.004 * noise[1]
+    tilted = {"gravity": (1.0, -9.0, 3.0), "ground": 0.0}
+    step = potential_of(garments, state, frame, IncrementalPotential().with_friction(law), **tilted)
+    return step, garments.rest_positions + 0.004 * noise[1]
 
 
-@pytest.mark.parametrize("convention", ["project", "released"])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("name", "convention"), [*LAWS, *((name, "released") for name in NAMES)])
 def test_gradient_by_hand_is_that_of_autograd(name: str, convention: str) -> None:
-    step, x = crumpled()
-    potential = IncrementalPotential() if convention == "project" else released_potential()
-    term = potential.term(name)
+    step, x = crumpled(law="paper" if convention == "released" else convention)
+    term = released_potential().term(name) if convention == "released" else made_of(step, name)
     frozen = step.with_contact_at(x)
     variable = x.clone().requires_grad_(True)
     energies = term.energies(frozen.step, frozen.contacts, variable)
@@ -206,11 +222,11 @@ def test_gradient_of_the_exact_potential_is_that_of_finite_differences() -> None
     assert float(slope) == pytest.approx(float(difference), rel=1e-6)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_compiled_terms_give_what_their_readable_twins_give(name: str) -> None:
-    step, x = crumpled(7)
+@pytest.mark.parametrize(("name", "law"), LAWS)
+def test_compiled_terms_give_what_their_readable_twins_give(name: str, law: str) -> None:
+    step, x = crumpled(7, law)
     frozen = step.with_contact_at(x)
-    term, at, contacts = IncrementalPotential().term(name), frozen.step, frozen.contacts
+    term, at, contacts = made_of(step, name), frozen.step, frozen.contacts
     compiled = frozen.potential.term(name)
     assert isinstance(compiled, CompiledTerm)
     energies, gradient = term.energies_and_gradient(at, contacts, x)
@@ -234,13 +250,13 @@ def test_autograd_goes_back_to_the_start_of_a_step() -> None:
 
 def stiffness_of(name: str, frozen: StepPotential, x: torch.Tensor) -> Stiffness:
     """What the term called `name` adds, compiled."""
-    only = replace(IncrementalPotential((IncrementalPotential().term(name),)).of(frozen.step), contacts=frozen.contacts)
+    only = replace(IncrementalPotential((made_of(frozen, name),)).of(frozen.step), contacts=frozen.contacts)
     return only.stiffness(x, StiffnessPattern(only.step.garments, only.elements()))
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "gravity"])
-def test_the_compiled_stiffness_is_that_of_the_readable_twin(name: str) -> None:
-    step, x = crumpled(8)
+@pytest.mark.parametrize(("name", "law"), [each for each in LAWS if each[0] != "gravity"])
+def test_the_compiled_stiffness_is_that_of_the_readable_twin(name: str, law: str) -> None:
+    step, x = crumpled(8, law)
     frozen = step.with_contact_at(x)
     stiffness = stiffness_of(name, frozen, x)
     positive, negative = readable_stiffness(name, frozen, x)
@@ -252,12 +268,12 @@ def test_the_compiled_stiffness_is_that_of_the_readable_twin(name: str) -> None:
     assert (float(negative.abs().max()) > 1e-3 * size) == (name == "stretch")
 
 
-@pytest.mark.parametrize("name", ["stretch", "inertia", "collision", "friction"])
-def test_stiffness_is_the_derivative_of_the_gradient(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("name", "law"), [each for each in LAWS if each[0] not in ("gravity", "bending")])
+def test_stiffness_is_the_derivative_of_the_gradient(name: str, law: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Exact for all but bending (Gauss-Newton), deep contacts and slip (changed on purpose)."""
     monkeypatch.setattr(friction, "SOFTENING", 1.0)
     monkeypatch.setattr(Friction, "loops", element_loops(friction._vertex, 1))
-    step, x = crumpled(2)
+    step, x = crumpled(2, law)
     x = step.step.state.positions + 0.1 * (x - step.step.state.positions)
     frozen = step.with_contact_at(x)
     at, contacts = frozen.step, frozen.contacts
@@ -268,7 +284,7 @@ def test_stiffness_is_the_derivative_of_the_gradient(name: str, monkeypatch: pyt
         x += (1.8e-3 - planes.signed_distance(x))[:, None] * planes.normals
         at = replace(at, environment=replace(at.environment, ground=None))
         frozen = replace(frozen, step=at)
-    term = IncrementalPotential().term(name)
+    term = made_of(frozen, name)
     direction = torch.randn(x.shape, generator=torch.Generator().manual_seed(6), dtype=torch.float64)
     h = 1e-7 if name != "friction" else 1e-9
     plus, minus = (term.energies_and_gradient(at, contacts, x + s * h * direction)[1] for s in (1, -1))

@@ -87,10 +87,10 @@ def test_files_are_found_from_the_scene_file(tmp_path: Path, monkeypatch: pytest
 def test_a_few_lines_by_hand_are_enough(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     file.write_text('[[garments]]\ngarment = "dress"\n[scene]\nfps = 24\nbody_shape = { height = 1 }\n')
-    expected = Run((WornGarment("dress"),), fps=24, body_shape={"height": 1})
+    expected = Run((WornGarment("dress"),), fps=24, body_shape={"height": 1}, friction_law="paper")
     assert Run.open(file) == expected
     file.write_text("")
-    assert Run.open(file) == Run()
+    assert Run.open(file) == Run(friction_law="paper")
 
 
 @pytest.mark.parametrize(

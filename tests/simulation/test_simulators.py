@@ -52,6 +52,23 @@ class FreeFall(StepwiseSimulator):
         return StepMethod(network=Failing())
 
 
+@pytest.mark.parametrize(
+    ("model", "options", "law"),
+    [
+        ("solver", {}, "coulomb"),
+        ("quick-solver", {"refine": 3}, "coulomb"),
+        ("quick-solver", {"friction_law": "paper"}, "paper"),
+        ("pb4u-small", {}, "coulomb"),
+        ("pb4u-small", {"refine": 0}, "paper"),
+        ("pb4u-small", {"refine": 0, "friction_law": "coulomb"}, "coulomb"),
+    ],
+)
+def test_friction_is_coulombs_where_the_solver_takes_part(model: str, options: dict[str, object], law: str) -> None:
+    simulator = load_simulator(model, **options)
+    assert simulator.settings()["friction_law"] == law
+    assert simulator.header(ball_scene(2)).metadata["friction_law"] == law
+
+
 def test_lead_in_is_simulated_but_not_written() -> None:
     scene = ball_scene(frames=5, lead_in=3)
     record, seen = RunRecord(), []

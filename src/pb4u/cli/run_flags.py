@@ -75,7 +75,8 @@ AsReleasedFlag: TypeAlias = Annotated[
     Literal["pb4u", "mgn", "hood", "contourcraft"] | None,
     typer.Option(
         help="Play a recording as the authors of this released code did: --as-recorded, --arms-away 20, --lead-in 31, "
-        "its own first frame, one pass in float32, and neither contact, self-contact nor refinement. Other flags win.",
+        "its own first frame and friction, one pass in float32, and neither contact, self-contact nor refinement. "
+        "Other flags win.",
         rich_help_panel=RESEARCH,
     ),
 ]
@@ -93,6 +94,7 @@ def released_entries(method: str) -> dict[str, Any]:
         "contact": False,
         "self_contact": False,
         "precision": "float32",
+        "friction_law": "paper",
     }
 
 

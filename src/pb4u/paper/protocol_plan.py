@@ -36,10 +36,22 @@ DRAWN_SEEDS = (2000, 10000)
 REFINE = 5
 """Solver iterations after a network's step where it runs by default, as in `pb4u simulate`."""
 
-ALONE: dict[str, Any] = {"refine": 0, "contact": False, "self_contact": False, "precision": "float32"}
+ALONE: dict[str, Any] = {
+    "refine": 0,
+    "contact": False,
+    "self_contact": False,
+    "precision": "float32",
+    "friction_law": "paper",
+}
 """Options of a run by a method alone; the energies that tables compare do not know contact between cloths."""
 
-BY_DEFAULT: dict[str, Any] = {**ALONE, "refine": REFINE, "contact": True, "self_contact": True}
+BY_DEFAULT: dict[str, Any] = {
+    **ALONE,
+    "refine": REFINE,
+    "contact": True,
+    "self_contact": True,
+    "friction_law": "coulomb",
+}
 """Those of a run as `pb4u simulate` makes it."""
 
 _TRIAL = re.compile(r"\d+_\d+")

@@ -11,7 +11,7 @@ from pb4u.physics.terms.bending import Bending
 from pb4u.physics.terms.cloth_contact import ClothContact, ClothFriction
 from pb4u.physics.terms.collision import Collision
 from pb4u.physics.terms.energy_term import EnergyTerm
-from pb4u.physics.terms.friction import Friction
+from pb4u.physics.terms.friction import FRICTION_LAWS, Friction
 from pb4u.physics.terms.gravity import Gravity
 from pb4u.physics.terms.inertia import Inertia
 from pb4u.physics.terms.stretch import Stretch
@@ -57,6 +57,19 @@ class IncrementalPotential:
         """This potential without contact between cloth elements."""
         ours = {term.name for term in SELF_CONTACT}
         return replace(self, terms=tuple(t for t in self.terms if t.name not in ours), self_contact=None)
+
+    def with_friction(self, law: str) -> IncrementalPotential:
+        """This potential with another law of friction on bodies and on the ground, under the load of contact.
+
+        Args:
+            law: "coulomb" or "paper".
+        """
+        return self.with_term(FRICTION_LAWS[law](load=Collision()))
+
+    @property
+    def friction_law(self) -> str:
+        """Name of the law of friction on bodies and on the ground; "none" without friction."""
+        return next((term.law for term in self.terms if isinstance(term, Friction)), "none")
 
     @property
     def names(self) -> tuple[str, ...]:

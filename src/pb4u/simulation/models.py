@@ -94,6 +94,23 @@ def chosen_model(run: Run) -> str:
     return default_model(run.refine) if str(run.model) == "auto" else str(run.model)
 
 
+def chosen_friction_law(run: Run) -> str:
+    """Law of friction that a run names, or leaves open: then that of the paper for a network alone, which learnt it.
+
+    Args:
+        run: whose scene is not looked at.
+    """
+    if run.friction_law != "auto":
+        return run.friction_law
+    return "coulomb" if _solves(run) else "paper"
+
+
+def _solves(run: Run) -> bool:
+    """Whether the solver takes part in the steps of a run."""
+    model = chosen_model(run)
+    return (model in PARTS and not looks_at(model, "refine")) or run.refine > 0
+
+
 def looks_at(model: str | Path, option: str) -> bool:
     """Whether a model does something with an option of a run.
 
@@ -164,7 +181,7 @@ def simulator_of(run: Run) -> Simulator:
     keep_freed_memory()
     model = chosen_model(run)
     refuse_useless(run)
-    potential = IncrementalPotential()
+    potential = IncrementalPotential().with_friction(chosen_friction_law(run))
     for term in DAMPING:
         potential = potential.with_term(term)
     if run.air:
@@ -173,8 +190,7 @@ def simulator_of(run: Run) -> Simulator:
         potential = potential.with_self_contact(bodies=run.contact)
     contact = ContactResponse() if run.contact else None
     # The solver improves a state more, and settles it better, than one long step of a network at the same cost.
-    solves = (model in PARTS and not looks_at(model, "refine")) or run.refine > 0
-    first = run.first_frame if run.first_frame != "auto" else "settled" if solves else "long_step"
+    first = run.first_frame if run.first_frame != "auto" else "settled" if _solves(run) else "long_step"
     common: dict[str, Any] = {
         "contact": contact,
         "first_frame": FIRST_FRAMES.named(first),

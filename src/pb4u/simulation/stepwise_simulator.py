@@ -68,7 +68,7 @@ class StepwiseSimulator(Simulator):
             "contact": self.contact is not None,
             "self_contact": self.potential.self_contact is not None,
             "time_integration": self.integrator.name,
-            "friction_law": Run.friction_law,
+            "friction_law": self.potential.friction_law,
             "air": Air.name in self.potential.names,
         }
 

@@ -82,19 +82,18 @@ class ClothContact(EnergyTerm):
 
 @dataclass(frozen=True)
 class ClothFriction(EnergyTerm):
-    """Sum over pairs that touch at the step's start of mu f_p (sqrt(|s_p|^2 + e^2) - e) [J].
+    """Sum over pairs that touch at the step's start of mu_p f_p (sqrt(|s_p|^2 + e^2) - e) [J].
 
-    f_p is the force [N] of the barrier there, s_p the slip [m] of the two nearest points over the step without its part
-    along their normal, e = `smoothing` dt [m]. Lagged, so that it is known before the step and convex. Source: the
-    friction of Incremental Potential Contact (Li et al. 2020).
+    mu_p is the smaller coefficient of the two, that of the cloth where a body presses it. f_p is the force [N] of the
+    barrier there, s_p the slip [m] of the two nearest points over the step without its part along their normal, e =
+    `smoothing` dt [m]. Lagged, so that it is known before the step and convex. Source: the friction of Incremental
+    Potential Contact (Li et al. 2020).
 
     Args:
-        coefficient: mu.
         smoothing: slip speed below which the elements stick [m/s].
         contact: whose force presses them together.
     """
 
-    coefficient: float = 0.5
     smoothing: float = 1e-3
     contact: ClothContact = ClothContact()
     name = "self_friction"
@@ -132,7 +131,7 @@ class ClothFriction(EnergyTerm):
         rest = self.smoothing * step.dt
         length = np.linalg.norm(across, axis=1)
         magnitude = np.sqrt(length**2 + rest**2)
-        stiffness = self._limit(touching, x).numpy() / magnitude
+        stiffness = self._limit(step, touching, x).numpy() / magnitude
         along = np.where((length > 1e-12)[:, None], across, _any_across(touching.normals))
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         softened = stiffness * (1.0 - SOFTENING * (length / magnitude) ** 2)
@@ -143,7 +142,7 @@ class ClothFriction(EnergyTerm):
     def _sliding(self, step: TimeStep, touching: TouchingCloth, x: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
         """Slip (pairs, 3) [m], greatest force (pairs,) [N], softened length (pairs,) of the slip [m], softening [m]."""
         across, rest = self._slip(step, touching, x), self.smoothing * step.dt
-        return across, self._limit(touching, x), (across.square().sum(1) + rest * rest).sqrt(), rest
+        return across, self._limit(step, touching, x), (across.square().sum(1) + rest * rest).sqrt(), rest
 
     def _slip(self, step: TimeStep, touching: TouchingCloth, x: Tensor) -> Tensor:
         """Slip (pairs, 3) [m] of the nearest points over the step without its part along the normal."""
@@ -152,9 +151,10 @@ class ClothFriction(EnergyTerm):
         slip = slip + torch.from_numpy(touching.carried).to(x)
         return slip - dot(slip, normals)[:, None] * normals
 
-    def _limit(self, touching: TouchingCloth, x: Tensor) -> Tensor:
+    def _limit(self, step: TimeStep, touching: TouchingCloth, x: Tensor) -> Tensor:
         """Friction limit (pairs,) [N]."""
-        return self.coefficient * torch.from_numpy(self.contact.forces(touching)).to(x)
+        coefficients = step.garments.friction[torch.from_numpy(touching.sides)].amin(1).to(x)
+        return coefficients * torch.from_numpy(self.contact.forces(touching)).to(x)
 
 
 class _Barrier(torch.autograd.Function):

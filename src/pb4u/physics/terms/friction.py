@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -25,18 +26,15 @@ SOFTENING = 0.8
 """Share of the softening along the slip that the curvature has: with all of it, steps overshoot where slipping ends."""
 
 
-_WEIGHTS = (1.0 + SLIDING_DOWN, SLIDING_DOWN, 1.0 + SLIDING_DOWN)
-"""Weights of the squared slip along each axis: |s|^2 c^2 = s . W s."""
-
-
 @compiled_into_callers
 def _slip_at(x: np.ndarray, numbers: np.ndarray, row: int) -> tuple[float, float, float, float]:
-    """Slip [m] of a vertex along each axis, and its smoothed length [m]."""
+    """Slip [m] of a vertex along each axis, and its weighted, smoothed length [m]."""
     rest, n0, n1, n2 = numbers[row, 1], numbers[row, 5], numbers[row, 6], numbers[row, 7]
     s0, s1, s2 = x[row, 0] - numbers[row, 2], x[row, 1] - numbers[row, 3], x[row, 2] - numbers[row, 4]
     height = s0 * n0 + s1 * n1 + s2 * n2
     s0, s1, s2 = s0 - height * n0, s1 - height * n1, s2 - height * n2
-    return s0, s1, s2, np.sqrt(_WEIGHTS[0] * s0 * s0 + _WEIGHTS[1] * s1 * s1 + _WEIGHTS[2] * s2 * s2 + rest * rest)
+    w0, w1, w2 = numbers[row, 8], numbers[row, 9], numbers[row, 10]
+    return s0, s1, s2, np.sqrt(w0 * s0 * s0 + w1 * s1 * s1 + w2 * s2 * s2 + rest * rest)
 
 
 def _vertex(
@@ -49,7 +47,7 @@ def _vertex(
     blocks: np.ndarray,
     factors: np.ndarray,
 ) -> float:
-    """One vertex; its numbers are the friction limit [N] (0 without touch), smoothing [m], anchor [m], normal.
+    """One vertex; its numbers are the friction limit [N] (0 without touch), smoothing [m], anchor [m], normal, weights.
 
     The second derivative is T W T - softening a a^T, a little stiffer than exact along the slip; T = 1 - n n^T, W the
     diagonal of the weights, a the pull T W s over the length of s. Positive, because the smoothed norm is convex.
@@ -65,21 +63,22 @@ def _vertex(
     energy = limit * (magnitude - numbers[vertex, 1])
     if wanted == VALUE:
         return energy
-    along = (_WEIGHTS[0] * s0 / magnitude, _WEIGHTS[1] * s1 / magnitude, _WEIGHTS[2] * s2 / magnitude)
+    weights = numbers[vertex, 8], numbers[vertex, 9], numbers[vertex, 10]
+    along = (weights[0] * s0 / magnitude, weights[1] * s1 / magnitude, weights[2] * s2 / magnitude)
     inward, both = 0.0, 0.0
     for axis in range(3):
         normal = numbers[vertex, 5 + axis]
         inward += along[axis] * normal
-        both += _WEIGHTS[axis] * normal * normal
+        both += weights[axis] * normal * normal
     for axis in range(3):
         forces[0, axis] = limit * (along[axis] - inward * numbers[vertex, 5 + axis])
     if wanted == GRADIENT:
         return energy
     for i in range(3):
         for j in range(3):
-            across = (both - _WEIGHTS[i] - _WEIGHTS[j]) * numbers[vertex, 5 + i] * numbers[vertex, 5 + j]
+            across = (both - weights[i] - weights[j]) * numbers[vertex, 5 + i] * numbers[vertex, 5 + j]
             if i == j:
-                across += _WEIGHTS[i]
+                across += weights[i]
             softened = SOFTENING * forces[0, i] * forces[0, j] / (limit * limit)
             blocks[0, i, j] = (across - softened) * limit / magnitude
     return energy
@@ -87,31 +86,37 @@ def _vertex(
 
 @dataclass(frozen=True)
 class Friction(EnergyTerm):
-    """Sum over touching vertices of mu m g c |s| [J], smoothed to mu m g (sqrt(c^2 |s|^2 + e^2) - e) [J].
+    """The paper's: sum over touching vertices of mu N c |s| [J], smoothed to mu N (sqrt(c^2 |s|^2 + e^2) - e) [J].
 
     mu is the vertex's coefficient of friction, s the slip [m]: its displacement over the step less that of the body
-    under it, without its part along the body's normal. c^2 = 1 - cos^2(s, up) + 1e-4 makes slipping sideways cost and
-    sliding down nearly free. e = `smoothing` dt [m]. A vertex touches when its true distance to the body (or to the
-    ground) at the step's start is below `radius`; so the set is known before the step and the energy is convex. Source:
-    HOOD (Grigorev et al. 2023); its released form is in `measures/released_energies.py`.
+    under it, without its part along the body's normal. N = m g. c^2 = 1 - cos^2(s, up) + 1e-4 makes slipping sideways
+    cost and sliding down nearly free. e = `smoothing` dt [m]. A vertex touches when its true distance to the body (or
+    to the ground) at the step's start is below `radius`; so the set is known before the step and the energy is convex.
+    Source: HOOD (Grigorev et al. 2023); its released form is in `measures/released_energies.py`.
 
     Args:
         radius: distance below which a vertex touches [m].
         smoothing: slip speed below which the vertex sticks [m/s].
-        load: None for m g as the normal force. Given the collision term, the force with which the body pressed the
-            vertex at the step's start, where that is more: shoulders then hold the weight of a dress.
+        load: None for the weight alone as the normal force. Given the collision term, the force with which the body
+            pressed the vertex at the step's start, where that is more: shoulders then hold the weight of a dress.
+
+    Attributes:
+        law: by which a run names it.
+        weights: W of the squared slip along each axis, |s|^2 c^2 = s . W s.
     """
 
     radius: float = 3e-3
     smoothing: float = 1e-3
     load: Collision | None = None
     name = "friction"
+    law: ClassVar[str] = "paper"
+    weights: ClassVar[tuple[float, float, float]] = (1.0 + SLIDING_DOWN, SLIDING_DOWN, 1.0 + SLIDING_DOWN)
     loops = element_loops(_vertex, 1)
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         limit, anchor, normal = self._sliding(step, contacts)
         slip, rest = slip_across(x, anchor, normal), self.smoothing * step.dt
-        magnitude = (dot(slip * slip, _directional(slip)) + rest**2).sqrt()
+        magnitude = (dot(slip * slip, constant(self.weights, x.dtype, x.device)) + rest**2).sqrt()
         return sum_by_garment(limit * (magnitude - rest), step.garments.vertex_garment, step.garments.garment_count)
 
     def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
@@ -119,7 +124,8 @@ class Friction(EnergyTerm):
 
     def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
         limit, anchor, normal = map(as_float64, self._sliding(step, contacts))
-        records = (vertex_record(step.garments, limit, self.smoothing * step.dt, anchor, normal),)
+        weights = np.tile(self.weights, (len(limit), 1))
+        records = (vertex_record(step.garments, limit, self.smoothing * step.dt, anchor, normal, weights),)
         return lambda _: records
 
     def tangents(
@@ -133,7 +139,7 @@ class Friction(EnergyTerm):
         ]
 
     def _sliding(self, step: TimeStep, contacts: ContactSet) -> tuple[Tensor, Tensor, Tensor]:
-        """Friction limit mu m g (vertices,) [N], 0 where nothing touches; anchor and normal (vertices, 3)."""
+        """Friction limit mu N (vertices,) [N], 0 where nothing touches; anchor and normal (vertices, 3)."""
         before, now = step.state.positions, contacts.now
         anchor, normal = before, torch.zeros_like(before)
         touching = torch.zeros(len(before), dtype=torch.bool, device=before.device)
@@ -149,17 +155,36 @@ class Friction(EnergyTerm):
             distance = torch.where(on_ground, height, distance)
             anchor = torch.where(on_ground[:, None], before, anchor)
             normal = torch.where(on_ground[:, None], constant(UP, before.dtype, before.device), normal)
-        force = STANDARD_GRAVITY * step.garments.vertex_masses
+        pressed = torch.zeros_like(distance)
         if self.load is not None:
             # Cloth deep inside is a fault to be mended, not a load: its force would freeze it there.
             depth = (self.load.clearance - distance).clamp(0.0, 2.0 * self.load.clearance)
             pressed = 3.0 * self.load.weight / REFERENCE_AREA * step.garments.vertex_areas * depth**2
-            force = torch.maximum(force, pressed)
+        force = self._normal_force(step, pressed)
         return torch.where(touching, step.garments.friction * force, 0.0), anchor, normal
 
+    def _normal_force(self, step: TimeStep, pressed: Tensor) -> Tensor:
+        """Normal force (vertices,) [N] of vertices that touch, of which the body `pressed` (vertices,) [N]."""
+        return torch.maximum(STANDARD_GRAVITY * step.garments.vertex_masses, pressed)
 
-def _directional(x: Tensor) -> Tensor:
-    return constant(_WEIGHTS, x.dtype, x.device)
+
+class CoulombFriction(Friction):
+    """Coulomb's: sum over touching vertices of mu N (sqrt(|s|^2 + e^2) - e) [J], alike in all directions.
+
+    N is the force with which the body, or the ground, pressed the vertex at the step's start: at rest the part of the
+    weight along the normal, in free fall nothing. What has just come to touch slips for a step. What holds a share r of
+    its limit creeps by `smoothing` r / sqrt(1 - r^2) [m/s].
+    """
+
+    law = "coulomb"
+    weights = (1.0, 1.0, 1.0)
+
+    def _normal_force(self, step: TimeStep, pressed: Tensor) -> Tensor:
+        return pressed
+
+
+FRICTION_LAWS = {law.law: law for law in (Friction, CoulombFriction)}
+"""Terms of friction by the name that `friction_law` of a run takes."""
 
 
 def slip_across(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
@@ -190,7 +215,7 @@ def _follow(
     The force is taken to be T W s times the limit over a smoothed length (vertices,) [m] of the slip, 0 where it is the
     tangent of `_vertex` yet: that length is changed to the one where the moves lead. The rest as there.
     """
-    limit, normal, weights = numbers[:, 0], numbers[:, 5:], _WEIGHTS
+    limit, normal = numbers[:, 0], numbers[:, 5:8]
     pull, there = np.empty(3), np.empty(3)
     reached = vertices + moves
     for row in range(len(moves)):
@@ -198,6 +223,7 @@ def _follow(
             continue
         s0, s1, s2, here = _slip_at(vertices, numbers, row)
         t0, t1, t2, length = _slip_at(reached, numbers, row)
+        weights = numbers[row, 8:]
         pull[0], pull[1], pull[2] = weights[0] * s0, weights[1] * s1, weights[2] * s2
         there[0], there[1], there[2] = weights[0] * t0, weights[1] * t1, weights[2] * t2
         inward, outward, both, along = 0.0, 0.0, 0.0, 0.0
