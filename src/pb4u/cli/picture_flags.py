@@ -34,12 +34,14 @@ PICTURE_FLAGS: Mapping[str, Any] = {
     "size": _flag(str | None, "Size of a picture in pixels. Default: 560x800.", "WIDTHxHEIGHT"),
     "colour": _flag(
         list[str] | None,
-        "Colour of the innermost garment in pictures, as a name or #RRGGBB; given again, of the next. Default: blue.",
+        "Colour of the innermost garment in pictures, as a name or #RRGGBB; given again, of the next. Default: "
+        "that of its material.",
         "NAME|#RRGGBB",
     ),
     "background": _flag(
         str | None, "Colour behind and below them, as a name or #RRGGBB. Default: light grey.", "NAME|#RRGGBB"
     ),
+    "weave": _flag(bool | None, "Draw the threads of cloth that has UVs. Default: yes."),
 }
 
 
@@ -55,7 +57,9 @@ def view_of(targets: Sequence[Path], given: Mapping[str, Any]) -> View | None:
     """
     from pb4u.export.view import View
 
-    asked: dict[str, Any] = {name: given[name] for name in ("elevation", "turntable") if given[name] is not None}
+    asked: dict[str, Any] = {
+        name: given[name] for name in ("elevation", "turntable", "weave") if given[name] is not None
+    }
     if given["view"] is not None:
         asked["azimuth"] = _azimuth(given["view"])
     if (size := given["size"]) is not None:
