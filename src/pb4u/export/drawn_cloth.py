@@ -31,7 +31,9 @@ class DrawnCloth:
         chosen = np.bincount(owner)[owner] < coarse
         self._coarse, self._split = header.faces, split_faces(header.faces, vertices, chosen)
         self.faces, self.parent = self._split.faces, self._split.parent
-        self._weights = loop_weights(self._split, header.faces, vertices).astype(np.float32)
+        loop = loop_weights(self._split, header.faces, vertices)
+        # Moved outward first by as much as it shrinks: else skin would show where cloth lies on it.
+        self._weights = (2.0 * loop - loop @ loop[:vertices]).astype(np.float32)
         self._flat, self.uv_faces = None, None
         if header.uvs is not None and header.uv_faces is not None:
             self._flat = split_faces(header.uv_faces, len(header.uvs), chosen)

@@ -21,7 +21,7 @@ Colour: TypeAlias = tuple[float, float, float]
 
 SKIN = (0.93, 0.80, 0.72)
 
-LIGHTS = (((-4.0, 5.0, 3.0), 1.0), ((5.0, 2.0, 4.0), 0.42), ((2.0, 4.0, -6.0), 0.45))
+LIGHTS = (((-4.0, 5.0, 3.0), 1.0), ((5.0, 2.0, 4.0), 0.36), ((2.0, 4.0, -6.0), 0.45))
 """Where the key, fill and rim lights stand as seen from the camera [m], and their intensities [1].
 
 The key light from the side and from above leaves the far side of each fold in the dark.

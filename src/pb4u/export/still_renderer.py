@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _FOOT_HEIGHT = 0.12
 """Of an adult's foot, ankle included [m]: what lies that low shades the ground."""
 
-_MATT: dict[str, Any] = {"ambient": 0.25, "diffuse": 0.85, "interpolation": "Phong"}
+_MATT: dict[str, Any] = {"ambient": 0.20, "diffuse": 0.92, "interpolation": "Phong"}
 _SHARPNESS = 10.0
 """Exponent of what shines."""
 

@@ -69,13 +69,13 @@ def thread_image(threads: Threads, colour: Colour) -> np.ndarray:
     on_top = np.tile(draft, (_COUNT // len(draft), _COUNT // len(draft)))
     across = ((np.arange(_PIXELS) + 0.5) / _PIXELS - 0.5).astype(np.float32)
     thread = np.tile(1.0 - 4.0 * threads.relief * across**2, (_PIXELS, 1))
-    over: np.ndarray
-    over, under = np.kron(np.where(on_top, warp, 0.0), thread), np.kron(np.where(on_top, 0.0, weft), thread.T)
+    over: np.ndarray = np.kron(np.where(on_top, warp, 0.0), thread)
+    under: np.ndarray = np.kron(np.where(on_top, 0.0, weft), thread.T)
     if threads.wale:
         place = (2.0 * np.pi * np.arange(_COUNT * _PIXELS) / _PIXELS).astype(np.float32)
         # The two legs of a loop lean towards each other.
-        over *= 1.0 + 0.12 * np.cos(place[:, None] - 2.0 * np.pi * np.abs(np.tile(across, _COUNT)))
-        over *= 1.0 + threads.rib * np.cos(place / threads.wale)
+        over = over * (1.0 + 0.12 * np.cos(place[:, None] - 2.0 * np.pi * np.abs(np.tile(across, _COUNT))))
+        over = over * (1.0 + threads.rib * np.cos(place / threads.wale))
     image = np.empty((*over.shape, 3), np.uint8)
     for channel, (own, other) in enumerate(zip(colour, UNDYED if threads.undyed else colour, strict=True)):
         shades = own * over + other * under
