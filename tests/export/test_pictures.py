@@ -6,14 +6,19 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.ndimage import binary_erosion
 
 from pb4u.errors import InputError, MissingExtraError, Pb4uError
+from pb4u.export.camera import FIELD_OF_VIEW, Camera
 from pb4u.export.picture import save_gif, write_mp4
 from pb4u.export.registry import check_target, export
+from pb4u.export.shading import FABRICS
 from pb4u.export.still_renderer import render
 from pb4u.export.video_writer import open_video
 from pb4u.export.view import SIDES, View
@@ -24,6 +29,8 @@ Convert = Callable[..., tuple[int, str]]
 FAKE = """#!{python}
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 if "-encoders" in sys.argv:
     for encoder in {encoders}:
         print(f" V....D {{encoder}}              an encoder")
@@ -122,6 +129,49 @@ def long_figure(trajectory: Trajectory) -> Trajectory:
     return replace(
         trajectory, positions=trajectory.positions * stretch, body_positions=trajectory.body_positions * stretch
     )
+
+
+@pytest.mark.parametrize("fabric", ["cotton", "denim", "wool", "jersey", "leather"])
+def test_folds_are_seen_in_any_colour(trajectory: Trajectory, fabric: str) -> None:
+    """The spread of luminance on folded cloth is a good part of its mean, whichever way the folds run to the camera."""
+    view = View(
+        140, 200, 0.0, show_body=False, cloths=(FABRICS[fabric].colour,), background=(1.0, 0.0, 1.0), weave=False
+    )
+    for shown in render(trajectory, [0, 4, 8], view):
+        cloth = binary_erosion(np.abs(shown.astype(int) - [255, 0, 255]).max(axis=2) > 60, iterations=2)
+        luminance = shown[cloth] @ [0.2126, 0.7152, 0.0722]
+        assert len(luminance) > 2000
+        assert luminance.std() > 0.18 * luminance.mean()
+
+
+@pytest.mark.parametrize("frame", [0, 1])
+def test_one_who_reaches_aside_fills_the_picture_still_and_the_cloth_is_whole(frame: int) -> None:
+    """Two frames of a figure 1.8 m high: one arm out, then both."""
+    rng = np.random.default_rng(2)
+    trunk = rng.uniform([-0.2, 0.0, -0.15], [0.2, 1.8, 0.15], (400, 3))
+    arm = rng.uniform([0.2, 1.35, -0.05], [0.9, 1.45, 0.05], (60, 3))
+    bodies = np.stack([np.concatenate([trunk, each, arm]) for each in (0.5 * arm, arm * [-1.0, 1.0, 1.0])])
+    cloth = np.repeat(rng.uniform([-0.4, 0.8, -0.2], [0.45, 1.5, 0.2], (1, 90, 3)), 2, axis=0)
+    header = SimpleNamespace(metadata={})
+    figure: Any = SimpleNamespace(
+        positions=cloth, body_positions=bodies, metadata=header.metadata, frame_count=2, header=header
+    )
+    view = View(azimuth=0.0, elevation=0.0)
+    camera = Camera(figure, view, [frame])
+
+    def seen(points: np.ndarray) -> np.ndarray:
+        """Places (points, 2) in the picture, from -1 to 1."""
+        at = points - camera.target(frame)
+        right, up, towards = (at @ axis for axis in camera.axes(frame))
+        half = np.tan(np.deg2rad(FIELD_OF_VIEW / 2)) * (camera.distance - towards)
+        return np.stack([right / half * view.height / view.width, up / half], axis=1)
+
+    assert np.abs(seen(cloth[frame])).max() < 1.0
+    body = seen(bodies[frame])
+    assert 0.75 < np.ptp(body[:, 1]) / 2.0 <= 1.0
+    assert np.abs(body[:, 1]).max() < 1.0
+    # One arm has room when the camera looks past the trunk.
+    assert (np.abs(body[:, 0]).max() < 1.0) == (frame == 0)
 
 
 def test_cloth_without_a_body_is_drawn(trajectory: Trajectory, tmp_path: Path) -> None:
