@@ -140,7 +140,7 @@ class TrajectoryHeader:
     @property
     def materials(self) -> list[tuple[dict[str, Any], np.ndarray]]:
         """Each material in `metadata`, of older files one a garment, and which faces (faces,) bool are of it."""
-        older = [{**(each["material"] or {}), "faces": [each["triangles"]]} for each in self.garments]
+        older = [{**(each.get("material") or {}), "faces": [each["triangles"]]} for each in self.garments]
         listed = []
         for made in self.metadata.get("materials") or older:
             faces = np.zeros(len(self.faces), dtype=bool)
