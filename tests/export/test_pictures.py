@@ -18,7 +18,7 @@ from pb4u.errors import InputError, MissingExtraError, Pb4uError
 from pb4u.export.camera import FIELD_OF_VIEW, Camera
 from pb4u.export.picture import save_gif, write_mp4
 from pb4u.export.registry import check_target, export
-from pb4u.export.shading import FABRICS
+from pb4u.export.shading import LOOKS
 from pb4u.export.still_renderer import render
 from pb4u.export.video_writer import open_video
 from pb4u.export.view import SIDES, View
@@ -134,9 +134,7 @@ def long_figure(trajectory: Trajectory) -> Trajectory:
 @pytest.mark.parametrize("fabric", ["cotton", "denim", "wool", "jersey", "leather"])
 def test_folds_are_seen_in_any_colour(trajectory: Trajectory, fabric: str) -> None:
     """The spread of luminance on folded cloth is a good part of its mean, whichever way the folds run to the camera."""
-    view = View(
-        140, 200, 0.0, show_body=False, cloths=(FABRICS[fabric].colour,), background=(1.0, 0.0, 1.0), weave=False
-    )
+    view = View(140, 200, 0.0, show_body=False, cloths=(LOOKS[fabric].colour,), background=(1.0, 0.0, 1.0), weave=False)
     for shown in render(trajectory, [0, 4, 8], view):
         cloth = binary_erosion(np.abs(shown.astype(int) - [255, 0, 255]).max(axis=2) > 60, iterations=2)
         luminance = shown[cloth] @ [0.2126, 0.7152, 0.0722]

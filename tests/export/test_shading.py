@@ -9,25 +9,25 @@ import numpy as np
 import pytest
 
 from pb4u.export.selection import on_source
-from pb4u.export.shading import FABRICS, PLAIN, cloth_parts, garment_colours
+from pb4u.export.shading import LOOKS, PLAIN, cloth_parts, garment_colours
 from pb4u.export.threads import THREADS
-from pb4u.garment.material import MATERIALS, material_names
+from pb4u.garment.material import BUILT_IN, material_names
 from pb4u.scene.trajectory import Trajectory
 
 
 def test_each_of_five_garments_of_one_fabric_has_a_colour_of_its_own_and_the_first_keeps_the_usual() -> None:
     colours = garment_colours(["denim"] * 7)
-    assert colours[0] == FABRICS["denim"].colour
+    assert colours[0] == LOOKS["denim"].colour
     assert len(set(colours[:5])) == 5
     assert set(colours[5:]) < set(colours[1:5])
     assert garment_colours(["denim", "", "silk"], [(0.1, 0.2, 0.3)]) == [
-        (0.1, 0.2, 0.3), PLAIN.colour, FABRICS["silk"].colour,
+        (0.1, 0.2, 0.3), PLAIN.colour, LOOKS["silk"].colour,
     ]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", material_names())
 def test_each_built_in_material_has_a_look_whose_threads_are_known(name: str) -> None:
-    assert FABRICS[name].threads in ("", *THREADS)
+    assert LOOKS[name].threads in ("", *THREADS)
 
 
 def test_parts_are_the_faces_of_one_garment_each(trajectory: Trajectory) -> None:
@@ -40,7 +40,7 @@ def test_parts_are_the_faces_of_one_garment_each(trajectory: Trajectory) -> None
 
 def made_of(trajectory: Trajectory, *ranges: tuple[str, list[list[int]]]) -> Trajectory:
     """The same with its faces made of built-in materials."""
-    entries: list[dict[str, Any]] = [{**vars(MATERIALS[name]), "faces": faces} for name, faces in ranges]
+    entries: list[dict[str, Any]] = [{**vars(BUILT_IN[name]), "faces": faces} for name, faces in ranges]
     return replace(trajectory, header=trajectory.header.with_metadata(materials=entries))
 
 
@@ -48,12 +48,12 @@ def test_parts_take_the_colours_of_their_fabrics(trajectory: Trajectory) -> None
     faces = len(trajectory.faces)
     two = made_of(trajectory, ("denim", [[0, 100]]), ("leather", [[100, faces]]))
     body, patch = cloth_parts(two.header)
-    assert (body.colour, patch.colour) == (FABRICS["denim"].colour, FABRICS["leather"].colour)
+    assert (body.colour, patch.colour) == (LOOKS["denim"].colour, LOOKS["leather"].colour)
     np.testing.assert_array_equal(patch.faces, np.arange(100, faces))
     assert patch.name == "garment, leather"
     red = (1.0, 0.0, 0.0)
     assert [part.colour for part in cloth_parts(two.header, [red])] == [red, red]
-    assert [part.fabric for part in cloth_parts(two.header, [red])] == [FABRICS["denim"], FABRICS["leather"]]
+    assert [part.fabric for part in cloth_parts(two.header, [red])] == [LOOKS["denim"], LOOKS["leather"]]
 
 
 def test_a_material_of_other_numbers_is_plain(trajectory: Trajectory) -> None:
@@ -69,4 +69,4 @@ def test_fabrics_go_with_the_authors_mesh(trajectory: Trajectory) -> None:
     two = made_of(trajectory, ("denim", [[0, split + 1]]), ("silk", [[split + 1, len(trajectory.faces)]]))
     for part in cloth_parts(on_source(two).header):
         under = source.triangle[source.faces[part.faces, 0]]
-        assert ((under <= split) == (part.fabric is FABRICS["denim"])).all()
+        assert ((under <= split) == (part.fabric is LOOKS["denim"])).all()

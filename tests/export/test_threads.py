@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pb4u.export.shading import FABRICS
+from pb4u.export.shading import LOOKS
 from pb4u.export.still_renderer import render
 from pb4u.export.threads import PITCH, SIDE, THREADS, thread_image, uvs_in_metres
 from pb4u.export.view import View
@@ -72,7 +72,7 @@ def test_the_warp_goes_as_panels_were_cut(trajectory: Trajectory) -> None:
 
 
 def picture(trajectory: Trajectory, **look: object) -> np.ndarray:
-    view = View(**{"width": 240, "height": 240, "cloths": (FABRICS["denim"].colour,), **look})  # type: ignore[arg-type]
+    view = View(**{"width": 240, "height": 240, "cloths": (LOOKS["denim"].colour,), **look})  # type: ignore[arg-type]
     return next(iter(render(trajectory, [0], view))).astype(int)
 
 

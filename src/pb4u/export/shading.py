@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 import torch
 
-from pb4u.garment.material import MATERIALS, Material
+from pb4u.garment.material import BUILT_IN, Material
 from pb4u.geometry.triangle_mesh import vertex_normals
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ The key light from the side and from above leaves the far side of each fold in t
 """
 
 
-class Fabric(NamedTuple):
+class Look(NamedTuple):
     """How cloth of a material looks.
 
     Args:
@@ -45,32 +45,41 @@ class Fabric(NamedTuple):
 UNDYED = (0.84, 0.81, 0.75)
 """Of the threads across the dyed ones of denim."""
 
-PLAIN = Fabric((0.80, 0.80, 0.79), "knit")
+PLAIN = Look((0.80, 0.80, 0.79), "knit")
 """Of what is made of numbers alone."""
 
-FABRICS = {
+LOOKS = {
     "default": PLAIN,
-    "cotton": Fabric((0.90, 0.87, 0.81), "plain"),
-    "cotton-poplin": Fabric((0.91, 0.92, 0.93), "plain"),
-    "cotton-voile": Fabric((0.92, 0.87, 0.85), "plain"),
-    "cotton-twill": Fabric((0.68, 0.60, 0.47), "twill"),
-    "linen": Fabric((0.82, 0.77, 0.67), "slub"),
-    "silk": Fabric((0.92, 0.88, 0.79), "", 0.20),
-    "silk-crepe": Fabric((0.62, 0.36, 0.38), "", 0.07),
-    "silk-charmeuse": Fabric((0.90, 0.80, 0.74), "", 0.40),
-    "denim": Fabric((0.30, 0.38, 0.51), "denim"),
-    "denim-11oz": Fabric((0.41, 0.50, 0.63), "denim"),
-    "denim-14oz": Fabric((0.25, 0.31, 0.43), "denim"),
-    "wool": Fabric((0.38, 0.38, 0.40), "twill", 0.0),
-    "wool-flannel": Fabric((0.50, 0.50, 0.52), "twill", 0.0),
-    "wool-coat": Fabric((0.61, 0.48, 0.34), "felt", 0.0),
-    "jersey": Fabric((0.63, 0.68, 0.71), "knit"),
-    "interlock": Fabric((0.78, 0.72, 0.72), "knit"),
-    "rib": Fabric((0.55, 0.59, 0.55), "rib"),
-    "fleece": Fabric((0.58, 0.60, 0.63), "felt", 0.0),
-    "leather": Fabric((0.28, 0.19, 0.15), "", 0.40),
-    "tulle": Fabric((0.88, 0.80, 0.81), ""),
-    "neoprene": Fabric((0.24, 0.26, 0.28), "", 0.12),
+    "cotton": Look((0.90, 0.87, 0.81), "plain"),
+    "cotton-poplin": Look((0.91, 0.92, 0.93), "plain"),
+    "cotton-voile": Look((0.92, 0.87, 0.85), "plain"),
+    "cotton-twill": Look((0.68, 0.60, 0.47), "twill"),
+    "linen": Look((0.82, 0.77, 0.67), "slub"),
+    "silk": Look((0.92, 0.88, 0.79), "", 0.20),
+    "silk-crepe": Look((0.62, 0.36, 0.38), "", 0.07),
+    "silk-charmeuse": Look((0.90, 0.80, 0.74), "", 0.40),
+    "denim": Look((0.30, 0.38, 0.51), "denim"),
+    "denim-11oz": Look((0.41, 0.50, 0.63), "denim"),
+    "denim-14oz": Look((0.25, 0.31, 0.43), "denim"),
+    "wool": Look((0.38, 0.38, 0.40), "twill", 0.0),
+    "wool-flannel": Look((0.50, 0.50, 0.52), "twill", 0.0),
+    "wool-coat": Look((0.61, 0.48, 0.34), "felt", 0.0),
+    "jersey": Look((0.63, 0.68, 0.71), "knit"),
+    "cotton-jersey": Look((0.70, 0.72, 0.66), "knit"),
+    "ponte": Look((0.34, 0.30, 0.36), "knit"),
+    "sweatshirt-knit": Look((0.66, 0.66, 0.65), "knit", 0.0),
+    "swimwear": Look((0.22, 0.36, 0.42), "", 0.14),
+    "blanket-knit": Look((0.70, 0.62, 0.55), "felt", 0.0),
+    "interlock": Look((0.78, 0.72, 0.72), "knit"),
+    "rib": Look((0.55, 0.59, 0.55), "rib"),
+    "fleece": Look((0.58, 0.60, 0.63), "felt", 0.0),
+    "leather": Look((0.28, 0.19, 0.15), "", 0.40),
+    "garment-leather": Look((0.32, 0.22, 0.16), "", 0.40),
+    "polyester-plain": Look((0.72, 0.76, 0.74), "plain", 0.06),
+    "jacket-polyester": Look((0.36, 0.42, 0.36), "plain", 0.10),
+    "wool-suiting": Look((0.33, 0.35, 0.40), "twill", 0.0),
+    "tulle": Look((0.88, 0.80, 0.81), ""),
+    "neoprene": Look((0.24, 0.26, 0.28), "", 0.12),
 }
 """By the name of the material."""
 
@@ -86,7 +95,7 @@ def fabric_names(header: TrajectoryHeader) -> np.ndarray:
     """
     names = np.full(len(header.faces), "", dtype=object)
     for made, faces in header.materials:
-        names[faces] = next((name for name, known in MATERIALS.items() if _is_of(made, known)), "")
+        names[faces] = next((name for name, known in BUILT_IN.items() if _is_of(made, known)), "")
     return names
 
 
@@ -106,7 +115,7 @@ def garment_colours(fabrics: Sequence[str], chosen: Sequence[Colour] = ()) -> li
     """
     colours: list[Colour] = []
     for number, name in enumerate(fabrics):
-        usual = FABRICS.get(name, PLAIN).colour
+        usual = LOOKS.get(name, PLAIN).colour
         free = (each for each in (usual, *_FURTHER_CLOTHS) if each not in colours)
         further = _FURTHER_CLOTHS[number % len(_FURTHER_CLOTHS)]
         colours.append(chosen[number] if number < len(chosen) else next(free, further))
@@ -129,7 +138,7 @@ class ClothPart:
     faces: np.ndarray
     colour: Colour
     image: bytes | None = None
-    fabric: Fabric = PLAIN
+    fabric: Look = PLAIN
 
 
 def cloth_parts(header: TrajectoryHeader, chosen: Sequence[Colour] = ()) -> list[ClothPart]:
@@ -146,7 +155,7 @@ def cloth_parts(header: TrajectoryHeader, chosen: Sequence[Colour] = ()) -> list
     colours, parts = garment_colours(main, chosen), list[ClothPart]()
     for k, look, made in sorted(set(zip(owner.tolist(), of_face.tolist(), fabrics.tolist(), strict=True))):
         faces = np.flatnonzero((owner == k) & (of_face == look) & (fabrics == made))
-        fabric = FABRICS.get(made, PLAIN)
+        fabric = LOOKS.get(made, PLAIN)
         if looks is not None and look >= 0:
             given = looks.listed[look]
             parts.append(ClothPart(given.name, faces, given.colour, given.image, fabric))
