@@ -6,14 +6,19 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.ndimage import binary_erosion
 
 from pb4u.errors import InputError, MissingExtraError, Pb4uError
+from pb4u.export.camera import FIELD_OF_VIEW, Camera
 from pb4u.export.picture import save_gif, write_mp4
 from pb4u.export.registry import check_target, export
+from pb4u.export.shading import LOOKS
 from pb4u.export.still_renderer import render
 from pb4u.export.video_writer import open_video
 from pb4u.export.view import SIDES, View
@@ -24,6 +29,8 @@ Convert = Callable[..., tuple[int, str]]
 FAKE = """#!{python}
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 if "-encoders" in sys.argv:
     for encoder in {encoders}:
         print(f" V....D {{encoder}}              an encoder")
@@ -124,6 +131,47 @@ def long_figure(trajectory: Trajectory) -> Trajectory:
     )
 
 
+@pytest.mark.parametrize("fabric", ["cotton", "denim", "wool", "jersey", "leather"])
+def test_folds_are_seen_in_any_colour(trajectory: Trajectory, fabric: str) -> None:
+    """The spread of luminance on folded cloth is a good part of its mean, whichever way the folds run to the camera."""
+    view = View(140, 200, 0.0, show_body=False, cloths=(LOOKS[fabric].colour,), background=(1.0, 0.0, 1.0), weave=False)
+    for shown in render(trajectory, [0, 4, 8], view):
+        cloth = binary_erosion(np.abs(shown.astype(int) - [255, 0, 255]).max(axis=2) > 60, iterations=2)
+        luminance = shown[cloth] @ [0.2126, 0.7152, 0.0722]
+        assert len(luminance) > 2000
+        assert luminance.std() > 0.18 * luminance.mean()
+
+
+@pytest.mark.parametrize("frame", [0, 1])
+def test_one_who_reaches_aside_fills_the_picture_still_and_the_cloth_is_whole(frame: int) -> None:
+    """Two frames of a figure 1.8 m high: one arm out, then both."""
+    rng = np.random.default_rng(2)
+    trunk = rng.uniform([-0.2, 0.0, -0.15], [0.2, 1.8, 0.15], (400, 3))
+    arm = rng.uniform([0.2, 1.35, -0.05], [0.9, 1.45, 0.05], (60, 3))
+    bodies = np.stack([np.concatenate([trunk, each, arm]) for each in (0.5 * arm, arm * [-1.0, 1.0, 1.0])])
+    cloth = np.repeat(rng.uniform([-0.4, 0.8, -0.2], [0.45, 1.5, 0.2], (1, 90, 3)), 2, axis=0)
+    header = SimpleNamespace(metadata={})
+    figure: Any = SimpleNamespace(
+        positions=cloth, body_positions=bodies, metadata=header.metadata, frame_count=2, header=header
+    )
+    view = View(azimuth=0.0, elevation=0.0)
+    camera = Camera(figure, view, [frame])
+
+    def seen(points: np.ndarray) -> np.ndarray:
+        """Places (points, 2) in the picture, from -1 to 1."""
+        at = points - camera.target(frame)
+        right, up, towards = (at @ axis for axis in camera.axes(frame))
+        half = np.tan(np.deg2rad(FIELD_OF_VIEW / 2)) * (camera.distance - towards)
+        return np.stack([right / half * view.height / view.width, up / half], axis=1)
+
+    assert np.abs(seen(cloth[frame])).max() < 1.0
+    body = seen(bodies[frame])
+    assert 0.75 < np.ptp(body[:, 1]) / 2.0 <= 1.0
+    assert np.abs(body[:, 1]).max() < 1.0
+    # One arm has room when the camera looks past the trunk.
+    assert (np.abs(body[:, 0]).max() < 1.0) == (frame == 0)
+
+
 def test_cloth_without_a_body_is_drawn(trajectory: Trajectory, tmp_path: Path) -> None:
     header = replace(
         trajectory.header, body_faces=np.zeros((0, 3), dtype=np.int64), body_contact=np.zeros(0, dtype=bool)
@@ -131,8 +179,8 @@ def test_cloth_without_a_body_is_drawn(trajectory: Trajectory, tmp_path: Path) -
     bare = replace(trajectory, header=header, body_positions=np.zeros((trajectory.frame_count, 0, 3), np.float32))
     out = export(bare, tmp_path / "t.png", view=View(60, 90))
     strip = np.asarray(Image.open(out).convert("RGB")).astype(int)
-    blue = strip[..., 2] - strip[..., 0] > 40
-    assert all(panel.sum() > 100 for panel in np.split(blue, 5, axis=1))
+    drawn = np.abs(strip - strip[0, 0]).max(axis=2) > 40
+    assert all(panel.sum() > 100 for panel in np.split(drawn, 5, axis=1))
 
 
 def test_each_garment_takes_the_colour_given_for_it(trajectory: Trajectory) -> None:

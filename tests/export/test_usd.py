@@ -59,7 +59,7 @@ def test_each_garment_has_a_colour_of_its_own(trajectory: Trajectory, tmp_path: 
     shown = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Scene/Garment")).GetPrimvar("displayColor")
     assert shown.GetInterpolation() == "uniform"
     # Colours of USD are linear.
-    wanted = garment_colours(2)[upper[trajectory.faces[:, 0]].astype(int)] ** 2.2
+    wanted = np.array(garment_colours(["", ""]))[upper[trajectory.faces[:, 0]].astype(int)] ** 2.2
     np.testing.assert_allclose(shown.Get(), wanted, atol=1e-6)
     (skin,) = UsdGeom.Mesh(stage.GetPrimAtPath("/Scene/Body")).GetDisplayColorAttr().Get()
     np.testing.assert_allclose(skin, np.array(SKIN) ** 2.2, atol=1e-6)

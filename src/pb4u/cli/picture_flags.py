@@ -30,8 +30,9 @@ class PictureRequest:
         turntable: Turn of the camera over the whole clip, as 360. Default: 0.
         size: Size of a picture in pixels. Default: 560x800.
         colour: Colour of the innermost garment in pictures, as a name or #RRGGBB; given again, of the next. Default:
-            blue.
+            that of its material.
         background: Colour behind and below them, as a name or #RRGGBB. Default: light grey.
+        weave: Draw the threads of cloth that has UVs. Default: yes.
     """
 
     view: Annotated[str | None, Flag(_PANEL, "SIDE|DEGREES")] = None
@@ -40,6 +41,7 @@ class PictureRequest:
     size: Annotated[str | None, Flag(_PANEL, "WIDTHxHEIGHT")] = None
     colour: Annotated[Sequence[str], Flag(_PANEL, "NAME|#RRGGBB")] = ()
     background: Annotated[str | None, Flag(_PANEL, "NAME|#RRGGBB")] = None
+    weave: Annotated[bool | None, Flag(_PANEL)] = None
 
 
 PICTURE_FLAGS = record_flags(PictureRequest)
@@ -57,7 +59,9 @@ def view_of(targets: Sequence[Path], given: Mapping[str, Any]) -> View | None:
     """
     from pb4u.export.view import View
 
-    asked: dict[str, Any] = {name: given[name] for name in ("elevation", "turntable") if given[name] is not None}
+    asked: dict[str, Any] = {
+        name: given[name] for name in ("elevation", "turntable", "weave") if given[name] is not None
+    }
     if given["view"] is not None:
         asked["azimuth"] = _azimuth(given["view"])
     if (size := given["size"]) is not None:

@@ -1,4 +1,4 @@
-"""Where the camera of a picture stands: at a distance from which the whole figure is in every frame."""
+"""Where the camera of a picture stands: from there the cloth is whole in every frame, and so is who wears it."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ _MARGIN = 1.06
 
 _REACH, _TOP = 3.0, 6.0
 """What lies farther aside, or higher [m], may be cut off: a garment that flew away would make the figure a dot."""
+
+_FILLED = 0.8
+"""Share of the picture's height that one who stands fills at least: hands that reach aside are cut off before that."""
 
 FIELD_OF_VIEW = 24.0
 """Of the picture's height [deg]: a long lens, which draws near limbs little larger."""
@@ -37,15 +40,17 @@ class Camera:
 
     def __init__(self, trajectory: Trajectory, view: View, frames: Sequence[int]) -> None:
         self._trajectory, self._view = trajectory, view
-        self.middle = 0.5 * max((float(self._visible(t)[:, 1].max(initial=0.0)) for t in frames), default=0.0)
+        self.middle = 0.5 * max((float(self._visible(t)[0][:, 1].max(initial=0.0)) for t in frames), default=0.0)
         self.distance = max((self._needed_distance(t) for t in frames), default=0.0) * _MARGIN
 
-    def _visible(self, t: int) -> np.ndarray:
-        """Points (vertices, 3) [m] that the picture of frame t should hold, as seen from its `foot`."""
-        points = np.concatenate([self._trajectory.positions[t], self._trajectory.body_positions[t]])
-        points = points[np.isfinite(points).all(axis=1)] - self.foot(t)
-        near = (np.linalg.norm(points[:, [0, 2]], axis=1) < _REACH) & (points[:, 1] < _TOP)
-        return np.asarray(points[near])
+    def _visible(self, t: int) -> tuple[np.ndarray, np.ndarray]:
+        """Points (vertices, 3) [m] that the picture of frame t should hold, seen from its `foot`; which are cloth."""
+        cloth, body = self._trajectory.positions[t], self._trajectory.body_positions[t]
+        points = np.concatenate([cloth, body])
+        finite = np.isfinite(points).all(axis=1)
+        points = np.where(finite[:, None], points, 0.0) - self.foot(t)
+        near = (np.linalg.norm(points[:, [0, 2]], axis=1) < _REACH) & (points[:, 1] < _TOP) & finite
+        return points[near], near.nonzero()[0] < len(cloth)
 
     def wearer(self, t: int) -> np.ndarray:
         """Points (vertices, 3) [m] of the body, or of the cloth where there is none.
@@ -67,12 +72,31 @@ class Camera:
         x, _, z = np.median(self.wearer(t), axis=0)
         return np.array([x, 0.0, z])
 
+    def target(self, t: int) -> np.ndarray:
+        """(3,) point [m] that it looks at: halfway between what reaches farthest to both sides.
+
+        Args:
+            t: number of the frame.
+        """
+        right = self.axes(t)[0]
+        aside = self._visible(t)[0] @ right
+        reach = (aside.min() + aside.max()) / 2 if len(aside) else 0.0
+        return np.asarray(self.foot(t) + np.array([0.0, self.middle, 0.0]) + reach * right)
+
     def _needed_distance(self, t: int) -> float:
-        """Distance of the camera [m] from which all of frame t lies within the picture."""
-        points = self._visible(t) - np.array([0.0, self.middle, 0.0])
-        aside, upward, towards = (points @ axis for axis in self.axes(t))
-        spread = np.maximum(np.abs(upward), np.abs(aside) * self._view.height / self._view.width)
-        return float((towards + spread / np.tan(np.deg2rad(FIELD_OF_VIEW / 2))).max(initial=_NEAREST))
+        """Distance of the camera [m] from which frame t lies within the picture."""
+        points, cloth = self._visible(t)
+        aside, upward, towards = ((points + self.foot(t) - self.target(t)) @ axis for axis in self.axes(t))
+        sides, heights = np.abs(aside) * self._view.height / self._view.width, np.abs(upward)
+
+        def needed(spread: np.ndarray) -> float:
+            return float((towards + spread / np.tan(np.deg2rad(FIELD_OF_VIEW / 2))).max(initial=_NEAREST))
+
+        low, high = np.quantile(points, (0.25, 0.75), axis=0) if len(points) else np.zeros((2, 3))
+        whole = needed(np.maximum(heights, sides))
+        if self.middle < (high - low)[[0, 2]].max():
+            return whole
+        return min(whole, max(needed(heights) / _FILLED, needed(np.where(cloth, sides, 0.0))))
 
     def axes(self, t: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Unit vectors (3,) of the picture of frame t: to its right, to its top, and towards the camera.

@@ -11,7 +11,7 @@ import numpy as np
 from pb4u.errors import InputError, warn
 from pb4u.geometry.appearance import Appearances
 from pb4u.scene.author_mesh import Polygons
-from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
+from pb4u.scene.trajectory import Trajectory, TrajectoryHeader, ranges_of
 
 Compute = Callable[[Any, Any], np.ndarray]
 """(index of frames, index of vertices) -> positions of those; an int as the first drops the frame axis."""
@@ -119,7 +119,7 @@ def on_source(trajectory: Trajectory) -> Trajectory:
     on_mesh, owners = source_motion(trajectory.header), source_garments(trajectory.header)
     header = replace(
         trajectory.header,
-        metadata=_counted_anew(trajectory.header, owners, owners[track.faces[:, 0]]),
+        metadata=_counted_anew(trajectory.header, owners, track.triangle[track.faces[:, 0]]),
         faces=track.faces,
         rest_positions=on_mesh(trajectory.header.rest_positions[None])[0],
         pinned=trajectory.header.pinned[trajectory.faces[track.triangle]].all(axis=1),
@@ -134,8 +134,15 @@ def on_source(trajectory: Trajectory) -> Trajectory:
     return Trajectory(header, on_mesh(trajectory.positions), on_mesh(trajectory.velocities), trajectory.body_positions)
 
 
-def _counted_anew(header: TrajectoryHeader, vertices: np.ndarray, faces: np.ndarray) -> dict[str, Any]:
-    """Metadata with the rows of each garment on another mesh, of which every vertex and face names its garment."""
+def _counted_anew(header: TrajectoryHeader, vertices: np.ndarray, beneath: np.ndarray) -> dict[str, Any]:
+    """Metadata with the rows of each garment and material on another mesh.
+
+    Args:
+        header: of the trajectory.
+        vertices: (vertices,) int32 the garment of each vertex of the other mesh.
+        beneath: (faces,) int64 the simulated face under each of its faces.
+    """
+    faces = header.vertex_garment[header.faces[beneath, 0]]
 
     def rows(owners: np.ndarray, number: int) -> list[int]:
         return np.searchsorted(owners, [number, number + 1]).tolist()
@@ -144,7 +151,8 @@ def _counted_anew(header: TrajectoryHeader, vertices: np.ndarray, faces: np.ndar
         {**each, "vertices": rows(vertices, number), "triangles": rows(faces, number)}
         for number, each in enumerate(header.garments)
     ]
-    return {**header.metadata, "triangles": len(faces), "garments": garments}
+    materials = [{**made, "faces": ranges_of(faces[beneath])} for made, faces in header.materials]
+    return {**header.metadata, "triangles": len(beneath), "garments": garments, "materials": materials}
 
 
 def source_motion(header: TrajectoryHeader) -> Callable[[np.ndarray], np.ndarray]:

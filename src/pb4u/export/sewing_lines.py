@@ -60,12 +60,17 @@ class SewingLines(NamedTuple):
             self.ends[points], self.share[points], self.face[chosen], self.width[chosen], self.shade[chosen]
         )
 
-    def colours(self, parts: Sequence[ClothPart]) -> np.ndarray:
-        """Colours (segments, 3) uint8 sRGB [0 to 255] on the `parts` of a surface."""
+    def colours(self, parts: Sequence[ClothPart], parent: np.ndarray) -> np.ndarray:
+        """Colours (segments, 3) uint8 sRGB [0 to 255].
+
+        Args:
+            parts: of the garments.
+            parent: (faces,) int64 the face of the parts that each face under the lines is a piece of.
+        """
         of_face = np.empty((sum(len(part.faces) for part in parts), 3))
         for part in parts:
             of_face[part.faces] = part.colour
-        shaded: np.ndarray = (255 * self.shade[:, None] * of_face[self.face]).round().astype(np.uint8)
+        shaded: np.ndarray = (255 * self.shade[:, None] * of_face[parent[self.face]]).round().astype(np.uint8)
         return shaded
 
     def drawn_on(self, header: TrajectoryHeader, part: ClothPart) -> bytes | None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
 
+from pb4u.garment.material import BUILT_IN, Material
 from pb4u.geometry.triangle_mesh import vertex_normals
 
 if TYPE_CHECKING:
@@ -17,21 +19,107 @@ if TYPE_CHECKING:
 Colour: TypeAlias = tuple[float, float, float]
 """Red, green and blue, sRGB [0 to 1]."""
 
-CLOTH = (0.16, 0.36, 0.62)
-SKIN = (0.93, 0.87, 0.83)
-_FURTHER_CLOTHS = ((0.74, 0.31, 0.24), (0.87, 0.68, 0.33), (0.32, 0.53, 0.40), (0.47, 0.37, 0.58))
-"""Colours of the second garment and those after it, in turn, so that layers can be distinguished."""
+SKIN = (0.93, 0.80, 0.72)
+
+LIGHTS = (((-4.0, 5.0, 3.0), 1.0), ((5.0, 2.0, 4.0), 0.36), ((2.0, 4.0, -6.0), 0.45))
+"""Where the key, fill and rim lights stand as seen from the camera [m], and their intensities [1].
+
+The key light from the side and from above leaves the far side of each fold in the dark.
+"""
 
 
-def garment_colours(garments: int, chosen: Sequence[Colour] = ()) -> np.ndarray:
-    """Colours (garments, 3) float64 sRGB [0 to 1], one for each garment.
+class Look(NamedTuple):
+    """How cloth of a material looks.
 
     Args:
-        garments: how many there are.
-        chosen: colours of the first ones; the others have their usual ones.
+        colour: sRGB [0 to 1].
+        threads: how they run, one of `pb4u.export.threads.THREADS`; "" where none are seen.
+        gloss: share of the light that it mirrors [1].
     """
-    usual = [CLOTH, *(_FURTHER_CLOTHS[k % len(_FURTHER_CLOTHS)] for k in range(max(garments - 1, 0)))]
-    return np.array([*chosen[:garments], *usual[len(chosen) : garments]], dtype=np.float64).reshape(-1, 3)
+
+    colour: Colour
+    threads: str
+    gloss: float = 0.03
+
+
+UNDYED = (0.84, 0.81, 0.75)
+"""Of the threads across the dyed ones of denim."""
+
+PLAIN = Look((0.80, 0.80, 0.79), "knit")
+"""Of what is made of numbers alone."""
+
+LOOKS = {
+    "default": PLAIN,
+    "cotton": Look((0.90, 0.87, 0.81), "plain"),
+    "cotton-poplin": Look((0.91, 0.92, 0.93), "plain"),
+    "cotton-voile": Look((0.92, 0.87, 0.85), "plain"),
+    "cotton-twill": Look((0.68, 0.60, 0.47), "twill"),
+    "linen": Look((0.82, 0.77, 0.67), "slub"),
+    "silk": Look((0.92, 0.88, 0.79), "", 0.20),
+    "silk-crepe": Look((0.62, 0.36, 0.38), "", 0.07),
+    "silk-charmeuse": Look((0.90, 0.80, 0.74), "", 0.40),
+    "denim": Look((0.30, 0.38, 0.51), "denim"),
+    "denim-11oz": Look((0.41, 0.50, 0.63), "denim"),
+    "denim-14oz": Look((0.25, 0.31, 0.43), "denim"),
+    "wool": Look((0.38, 0.38, 0.40), "twill", 0.0),
+    "wool-flannel": Look((0.50, 0.50, 0.52), "twill", 0.0),
+    "wool-coat": Look((0.61, 0.48, 0.34), "felt", 0.0),
+    "jersey": Look((0.63, 0.68, 0.71), "knit"),
+    "cotton-jersey": Look((0.70, 0.72, 0.66), "knit"),
+    "ponte": Look((0.34, 0.30, 0.36), "knit"),
+    "sweatshirt-knit": Look((0.66, 0.66, 0.65), "knit", 0.0),
+    "swimwear": Look((0.22, 0.36, 0.42), "", 0.14),
+    "blanket-knit": Look((0.70, 0.62, 0.55), "felt", 0.0),
+    "interlock": Look((0.78, 0.72, 0.72), "knit"),
+    "rib": Look((0.55, 0.59, 0.55), "rib"),
+    "fleece": Look((0.58, 0.60, 0.63), "felt", 0.0),
+    "leather": Look((0.28, 0.19, 0.15), "", 0.40),
+    "garment-leather": Look((0.32, 0.22, 0.16), "", 0.40),
+    "polyester-plain": Look((0.72, 0.76, 0.74), "plain", 0.06),
+    "jacket-polyester": Look((0.36, 0.42, 0.36), "plain", 0.10),
+    "wool-suiting": Look((0.33, 0.35, 0.40), "twill", 0.0),
+    "tulle": Look((0.88, 0.80, 0.81), ""),
+    "neoprene": Look((0.24, 0.26, 0.28), "", 0.12),
+}
+"""By the name of the material."""
+
+_FURTHER_CLOTHS = ((0.62, 0.34, 0.27), (0.80, 0.66, 0.38), (0.42, 0.53, 0.44), (0.47, 0.40, 0.54))
+"""Colours of garments that are made of what one below them is, in turn, so that layers can be distinguished."""
+
+
+def fabric_names(header: TrajectoryHeader) -> np.ndarray:
+    """Name of the built-in material of each face, (faces,) object; "" of materials of other numbers.
+
+    Args:
+        header: of the trajectory.
+    """
+    names = np.full(len(header.faces), "", dtype=object)
+    for made, faces in header.materials:
+        names[faces] = next((name for name, known in BUILT_IN.items() if _is_of(made, known)), "")
+    return names
+
+
+def _is_of(numbers: Mapping[str, Any], material: Material) -> bool:
+    """Whether what is written of a material are the numbers of this one, as far as it has those."""
+    known = {**material.five_numbers, **vars(material)}
+    shared = [name for name in known if isinstance(numbers.get(name), float)]
+    return "density" in shared and all(np.isclose(numbers[name], known[name], rtol=1e-9, atol=0.0) for name in shared)
+
+
+def garment_colours(fabrics: Sequence[str], chosen: Sequence[Colour] = ()) -> list[Colour]:
+    """Colours of the garments, sRGB [0 to 1]: the chosen ones, or that of what it is made of while no other has it.
+
+    Args:
+        fabrics: name of the material of each garment.
+        chosen: colours of the first ones.
+    """
+    colours: list[Colour] = []
+    for number, name in enumerate(fabrics):
+        usual = LOOKS.get(name, PLAIN).colour
+        free = (each for each in (usual, *_FURTHER_CLOTHS) if each not in colours)
+        further = _FURTHER_CLOTHS[number % len(_FURTHER_CLOTHS)]
+        colours.append(chosen[number] if number < len(chosen) else next(free, further))
+    return colours
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,12 +131,14 @@ class ClothPart:
         faces: (n,) int64 indices of its faces.
         colour: sRGB [0 to 1]; multiplies the image.
         image: content of a PNG or JPEG file that the UVs lay on, or None.
+        fabric: how its material looks, in whatever colour.
     """
 
     name: str
     faces: np.ndarray
     colour: Colour
     image: bytes | None = None
+    fabric: Look = PLAIN
 
 
 def cloth_parts(header: TrajectoryHeader, chosen: Sequence[Colour] = ()) -> list[ClothPart]:
@@ -59,20 +149,26 @@ def cloth_parts(header: TrajectoryHeader, chosen: Sequence[Colour] = ()) -> list
         chosen: colours of the first garments, which take the place of all that their authors gave.
     """
     owner, looks = np.asarray(header.vertex_garment)[header.faces[:, 0]], header.appearances
-    count = int(owner.max(initial=0)) + 1
+    count, fabrics = int(owner.max(initial=0)) + 1, fabric_names(header)
     of_face = np.full(len(owner), -1) if looks is None else np.where(owner < len(chosen), -1, looks.of_face)
-    parts = []
-    for k, usual in enumerate(garment_colours(count, chosen)):
-        for look in np.unique(of_face[owner == k]).tolist():
-            faces = np.flatnonzero((owner == k) & (of_face == look))
-            if looks is None or look < 0:
-                name = "garment" if count == 1 else f"garment {k + 1}"
-                if 1 < count == len(header.garments):
-                    name = str(header.garments[k]["name"])
-                parts.append(ClothPart(name, faces, tuple(usual)))
-            else:
-                given = looks.listed[look]
-                parts.append(ClothPart(given.name, faces, given.colour, given.image))
+    main = [Counter(fabrics[owner == k]).most_common(1)[0][0] if (owner == k).any() else "" for k in range(count)]
+    colours, parts = garment_colours(main, chosen), list[ClothPart]()
+    for k, look, made in sorted(set(zip(owner.tolist(), of_face.tolist(), fabrics.tolist(), strict=True))):
+        faces = np.flatnonzero((owner == k) & (of_face == look) & (fabrics == made))
+        fabric = LOOKS.get(made, PLAIN)
+        if looks is not None and look >= 0:
+            given = looks.listed[look]
+            parts.append(ClothPart(given.name, faces, given.colour, given.image, fabric))
+            continue
+        name = "garment" if count == 1 else f"garment {k + 1}"
+        if 1 < count == len(header.garments):
+            name = str(header.garments[k]["name"])
+        if made == main[k]:
+            parts.append(ClothPart(name, faces, colours[k], None, fabric))
+        else:
+            parts.append(
+                ClothPart(f"{name}, {made}", faces, colours[k] if k < len(chosen) else fabric.colour, None, fabric)
+            )
     return parts
 
 

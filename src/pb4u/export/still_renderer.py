@@ -11,9 +11,11 @@ import torch
 
 from pb4u.errors import Pb4uError
 from pb4u.export.camera import FIELD_OF_VIEW, Camera
+from pb4u.export.drawn_cloth import DrawnCloth
 from pb4u.export.finite_frames import held_frames
 from pb4u.export.sewing_lines import ABOVE, SewingLines, sewn_parts
-from pb4u.export.shading import SKIN, ClothPart
+from pb4u.export.shading import LIGHTS, SKIN, ClothPart, Colour
+from pb4u.export.threads import SIDE, THREADS, thread_image, uvs_in_metres
 from pb4u.export.view import View
 from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.scene.author_mesh import split_seams
@@ -21,9 +23,17 @@ from pb4u.scene.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import pyvista
+    from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLFXAAPass
 
 _FOOT_HEIGHT = 0.12
 """Of an adult's foot, ankle included [m]: what lies that low shades the ground."""
+
+_MATT: dict[str, Any] = {"ambient": 0.20, "diffuse": 0.92, "interpolation": "Phong"}
+_SHARPNESS = 10.0
+"""Exponent of what shines."""
+
+_HOLLOW, _LEAST_HOLLOW, _RAYS = 0.12, 0.004, 24
+"""How far off cloth or skin keeps light of all around from a point, and from which height on [m]; how often asked."""
 
 
 class StillRenderer:
@@ -41,63 +51,83 @@ class StillRenderer:
         self._trajectory = trajectory
         self._view, self._camera = view, Camera(trajectory, view, frames)
         self._plotter = pyvista.Plotter(off_screen=True, window_size=[view.width, view.height], lighting="none")
+        self._plotter.disable_anti_aliasing()
         parts, lines = sewn_parts(trajectory.header, view.cloths)
-        self._cloth = self._add_cloth(trajectory, parts)
+        self._drawn = DrawnCloth(trajectory.header)
+        self._cloth = self._add_cloth(parts)
         self._held = frozenset(held_frames(trajectory))
         self._body = None
         faces = trajectory.header.body_faces
         if view.show_body and len(faces):
-            self._body = self._add(trajectory.body_positions[0], faces, np.tile(SKIN, (len(faces), 1)), specular=0.12)
+            self._body = self._add(trajectory.body_positions[0], faces, SKIN, 0.10)
         self._light()
         self._add_ground()
+        lines = self._drawn.lines(lines)
         self._lines = [self._add_lines(lines.at(lines.width == width), parts) for width in np.unique(lines.width)]
 
-    def _add_cloth(self, trajectory: Trajectory, parts: list[ClothPart]) -> list[tuple[pyvista.PolyData, np.ndarray]]:
-        """Surfaces of the garments, each with the vertex behind each of its points: one of plain colours, one an image.
+    def _add_cloth(self, parts: list[ClothPart]) -> list[tuple[pyvista.PolyData, np.ndarray]]:
+        """Surfaces of the parts of the garments, each with the drawn vertex behind each of its points.
 
-        Vertices at UV seams are copied for an image.
+        Vertices at UV seams are copied.
         """
-        header, first = trajectory.header, trajectory.positions[0]
-        plain = [part for part in parts if part.image is None or header.uvs is None]
+        header, drawn = self._trajectory.header, self._drawn
+        first = drawn.at(_finite(self._trajectory.positions[0]))
+        of_vertex, corners, uvs = split_seams(len(first), drawn.faces, drawn.uvs(header.uvs), drawn.uv_faces)
+        metres = split_seams(len(first), drawn.faces, drawn.uvs(uvs_in_metres(header)), drawn.uv_faces)[2]
         added = []
-        if plain:
-            rows = np.sort(np.concatenate([part.faces for part in plain]))
-            colours = np.empty((len(header.faces), 3))
-            for part in plain:
-                colours[part.faces] = part.colour
-            whole = np.arange(len(first))
-            added.append((self._add(first, header.faces[rows], colours[rows], specular=0.06), whole))
-        of_vertex, corners, uvs = split_seams(len(first), header.faces, header.uvs, header.uv_faces)
         for part in parts:
+            points, own = np.unique(corners[np.isin(drawn.parent, part.faces)], return_inverse=True)
+            colour, images = part.colour, []
             if part.image is not None and uvs is not None:
-                colours = np.tile(part.colour, (len(part.faces), 1))
-                drawn = self._add(first[of_vertex], corners[part.faces], colours, 0.06, (part.image, uvs))
-                added.append((drawn, of_vertex))
+                images.append((_pixels(part.image), uvs[points]))
+            threads = THREADS.get(part.fabric.threads)
+            plain = part.image is None or header.appearances is None
+            if self._view.weave and plain and threads and metres is not None and np.ptp(metres[points]) > 0.0:
+                images.append((thread_image(threads, colour), metres[points] / SIDE))
+                colour = (1.0, 1.0, 1.0)
+            mesh = self._add(first[of_vertex[points]], own.reshape(-1, 3), colour, part.fabric.gloss, images)
+            added.append((mesh, of_vertex[points]))
         return added
 
     def _add(
         self,
         points: np.ndarray,
         faces: np.ndarray,
-        colours: np.ndarray,
-        specular: float,
-        texture: tuple[bytes, np.ndarray] | None = None,
+        colour: Colour,
+        gloss: float,
+        images: Sequence[tuple[np.ndarray, np.ndarray]] = (),
     ) -> pyvista.PolyData:
-        """A surface in the picture; `colours` (faces, 3) sRGB [0 to 1], or those times an image by UVs (points, 2)."""
+        """A surface in the picture.
+
+        Args:
+            points: (points, 3) [m].
+            faces: (faces, 3) int.
+            colour: sRGB [0 to 1].
+            gloss: share of the light that it mirrors.
+            images: (height, width, 3) uint8 and the UVs (points, 2) that lay it on, each multiplies the colour.
+        """
         import pyvista
+        from vtkmodules.vtkCommonDataModel import vtkDataObject
+        from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
         cells = np.column_stack([np.full(len(faces), 3), faces]).ravel()
         mesh = pyvista.PolyData(np.array(points, dtype=np.float32), cells)
-        mesh.cell_data["colours"] = (255 * colours).round().astype(np.uint8)
         mesh.point_data["Normals"] = np.zeros_like(mesh.points)
         mesh.point_data.active_normals_name = "Normals"
-        shown: dict[str, Any] = {"scalars": "colours", "rgb": True}
-        if texture is not None:
-            mesh.active_texture_coordinates = texture[1]
-            shown = {"texture": _texture(texture[0], colours[0])}
-        self._plotter.add_mesh(
-            mesh, **shown, ambient=0.16, diffuse=0.9, specular=specular, specular_power=12, interpolation="Phong"
-        )
+        for k, (_, uvs) in enumerate(images):
+            mesh.point_data[f"uvs{k}"] = uvs.astype(np.float32)
+        actor = self._plotter.add_mesh(mesh, color=colour, specular=gloss, specular_power=_SHARPNESS, **_MATT)
+        if images:
+            # Of two textures, only this mapper takes each with UVs of its own.
+            mapper = vtkPolyDataMapper()
+            mapper.SetInputData(mesh)
+            mapper.ScalarVisibilityOff()
+            actor.SetMapper(mapper)
+            for k, (pixels, _) in enumerate(images):
+                actor.GetProperty().SetTexture(f"image{k}", _texture(pixels))
+                mapper.MapDataArrayToMultiTextureAttribute(
+                    f"image{k}", f"uvs{k}", vtkDataObject.FIELD_ASSOCIATION_POINTS, -1
+                )
         return mesh
 
     def _add_lines(self, lines: SewingLines, parts: list[ClothPart]) -> tuple[pyvista.PolyData, SewingLines]:
@@ -107,29 +137,26 @@ class StillRenderer:
         count = len(lines.face)
         cells = np.column_stack([np.full(count, 2), np.arange(2 * count).reshape(-1, 2)]).ravel()
         mesh = pyvista.PolyData(np.zeros((2 * count, 3), dtype=np.float32), lines=cells)
-        mesh.cell_data["colours"] = lines.colours(parts)
+        mesh.cell_data["colours"] = lines.colours(parts, self._drawn.parent)
         pixels = self._view.height / (2.0 * self._camera.distance * np.tan(np.deg2rad(FIELD_OF_VIEW / 2)))
         width = max(lines.width[0] * pixels, 1.0)
         mesh.point_data["Normals"] = np.zeros_like(mesh.points)
         mesh.point_data.active_normals_name = "Normals"
-        self._plotter.add_mesh(
-            mesh, scalars="colours", rgb=True, line_width=width, ambient=0.16, diffuse=0.9, specular=0.06,
-            interpolation="Phong",
-        )  # fmt: skip
+        self._plotter.add_mesh(mesh, scalars="colours", rgb=True, line_width=width, **_MATT)
         return mesh, lines
 
     def _light(self) -> None:
         import pyvista
 
-        # A low key light from the side makes wrinkles cast shading; fill and rim keep the rest readable.
         turn = self._camera.heading() + np.deg2rad(self._view.azimuth - View.azimuth)
-        for (x, y, z), intensity in (((4.0, 4.5, 5.0), 0.72), ((-5.0, 3.0, 3.0), 0.34), ((0.0, 5.0, -6.0), 0.35)):
+        for (x, y, z), intensity in LIGHTS:
             position = x * np.cos(turn) + z * np.sin(turn), y, z * np.cos(turn) - x * np.sin(turn)
             light = pyvista.Light(
                 position=position, focal_point=(0, 1, 0), intensity=intensity, light_type="scene light"
             )
             self._plotter.add_light(light)
         self._plotter.renderer.set_background(self._view.background)
+        self._plotter.renderer.SetPass(_shaded_hollows())
 
     def _add_ground(self) -> None:
         import pyvista
@@ -153,12 +180,13 @@ class StillRenderer:
             Pb4uError: the renderer returns no picture.
         """
         trajectory = self._trajectory
-        normals = _normals(trajectory.positions[t], trajectory.faces)
+        cloth = self._drawn.at(_finite(trajectory.positions[t]))
+        normals = _normals(cloth, self._drawn.faces)
         for mesh, of_vertex in self._cloth:
-            _move(mesh, trajectory.positions[t][of_vertex], normals[of_vertex])
+            _move(mesh, cloth[of_vertex], normals[of_vertex])
         for mesh, lines in self._lines:
             on_lines = lines.of(normals)
-            _move(mesh, lines.of(_finite(trajectory.positions[t])) + ABOVE * on_lines, on_lines)
+            _move(mesh, lines.of(cloth) + ABOVE * on_lines, on_lines)
         if self._body is not None:
             points = trajectory.body_positions[t]
             _move(self._body, points, _normals(points, trajectory.header.body_faces))
@@ -187,7 +215,7 @@ class StillRenderer:
         self._shadow.points = scaled + np.array([centre[0], 0.0, centre[2]])
 
     def _aim(self, t: int) -> None:
-        target = self._camera.foot(t) + np.array([0.0, self._camera.middle, 0.0])
+        target = self._camera.target(t)
         _, upward, towards = self._camera.axes(t)
         camera = self._plotter.camera
         camera.focal_point = target
@@ -199,6 +227,23 @@ class StillRenderer:
     def close(self) -> None:
         """Free the window."""
         self._plotter.close()
+
+
+def _shaded_hollows() -> vtkOpenGLFXAAPass:
+    """Drawing in which hollows get less light of all around, with smooth edges.
+
+    The multisampling that VTK smooths edges with otherwise does not reach what it draws for this.
+    """
+    from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLFXAAPass, vtkRenderStepsPass, vtkSSAOPass
+
+    hollows, smooth = vtkSSAOPass(), vtkOpenGLFXAAPass()
+    hollows.SetDelegatePass(vtkRenderStepsPass())
+    hollows.SetRadius(_HOLLOW)
+    hollows.SetBias(_LEAST_HOLLOW)
+    hollows.SetKernelSize(_RAYS)
+    hollows.BlurOn()
+    smooth.SetDelegatePass(hollows)
+    return smooth
 
 
 def _move(mesh: pyvista.PolyData, points: np.ndarray, normals: np.ndarray) -> None:
@@ -214,15 +259,20 @@ def _finite(points: np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.array(points, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def _texture(image: bytes, colour: np.ndarray) -> pyvista.Texture:
-    """An image times an sRGB colour [0 to 1]."""
-    import pyvista
+def _pixels(image: bytes) -> np.ndarray:
     from PIL import Image
 
     with Image.open(io.BytesIO(image)) as opened:
-        pixels = (np.asarray(opened.convert("RGB")) * colour).round().astype(np.uint8)
+        return np.asarray(opened.convert("RGB"))
+
+
+def _texture(pixels: np.ndarray) -> pyvista.Texture:
+    import pyvista
+    from vtkmodules.vtkRenderingCore import vtkTexture
+
     texture: pyvista.Texture = pyvista.Texture(pixels)  # type: ignore[no-untyped-call]
     texture.repeat, texture.interpolate, texture.mipmap = True, True, True
+    texture.SetBlendingMode(vtkTexture.VTK_TEXTURE_BLENDING_MODE_MODULATE)
     return texture
 
 

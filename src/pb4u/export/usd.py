@@ -16,7 +16,7 @@ from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.incomplete_file import incomplete
 from pb4u.export.panels import SewnPanels
 from pb4u.export.pieces import Piece, names_apart, pieces
-from pb4u.export.shading import CLOTH, SKIN, ClothPart, Colour, cloth_parts, unit_normals
+from pb4u.export.shading import SKIN, ClothPart, Colour, cloth_parts, unit_normals
 from pb4u.geometry.appearance import image_suffix
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.author_mesh import Polygons
@@ -110,10 +110,11 @@ def _write_binary(trajectory: Trajectory, path: Path, beside: Path, progress: Pr
         UsdGeom.Xform.Define(stage, "/Scene/Garment")
     for piece, prim in zip(worn, _prims([piece.name for piece in worn]), strict=True):
         outlines = piece.header.outlines
-        mesh = _define(stage, prim, outlines, CLOTH)
+        looks = piece.looks(parts)
+        mesh = _define(stage, prim, outlines, looks[0].colour)
         mesh.GetPrim().SetDisplayName(piece.name)
-        if len(parts) > 1 or header.appearances is not None:
-            _colour_cloth(stage, mesh, piece, piece.looks(parts), images, beside)
+        if len(looks) > 1 or header.appearances is not None:
+            _colour_cloth(stage, mesh, piece, looks, images, beside)
         _add_uvs(mesh, piece.header.uvs, outlines.uv_corners)
         _add_panels(mesh, piece.header)
         garments.append((piece.vertices, _AnimatedMesh(mesh, piece.header.faces)))

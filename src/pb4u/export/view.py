@@ -29,6 +29,7 @@ class View:
         turntable: turn of the camera about the vertical over the whole clip [deg].
         show_body: whether the body is drawn.
         cloths: colours of the garments, the first one's first; those beyond have their usual ones.
+        weave: whether the threads of the cloth are drawn where it has UVs.
         background: colour behind and below it all, sRGB [0 to 1].
 
     Raises:
@@ -42,6 +43,7 @@ class View:
     turntable: float = 0.0
     show_body: bool = True
     cloths: tuple[Colour, ...] = ()
+    weave: bool = True
     background: Colour = (0.93, 0.935, 0.94)
 
     def __post_init__(self) -> None:

@@ -138,6 +138,18 @@ class TrajectoryHeader:
         return self.metadata.get("garments") or [whole]
 
     @property
+    def materials(self) -> list[tuple[dict[str, Any], np.ndarray]]:
+        """Each material in `metadata`, of older files one a garment, and which faces (faces,) bool are of it."""
+        older = [{**(each.get("material") or {}), "faces": [each["triangles"]]} for each in self.garments]
+        listed = []
+        for made in self.metadata.get("materials") or older:
+            faces = np.zeros(len(self.faces), dtype=bool)
+            for first, stop in made["faces"]:
+                faces[first:stop] = True
+            listed.append((made, faces))
+        return listed
+
+    @property
     def outlines(self) -> Polygons:
         """Polygons for formats that take them: the author's own, or else the triangles."""
         return self.polygons or Polygons.of_triangles(self.faces, self.uv_faces)
@@ -155,10 +167,17 @@ def _materials(garments: Sequence[Garment], first_triangles: Sequence[int]) -> l
             made = np.ones(len(garment.faces), dtype=bool)
             if garment.face_material is not None:
                 made = garment.face_material == number
-            edges = np.flatnonzero(np.diff(np.concatenate([[False], made, [False]])))
-            ranges = (edges.reshape(-1, 2) + first).tolist()
+            ranges = [[start + first, stop + first] for start, stop in ranges_of(made)]
             listed.append({"garment": garment.name, **asdict(material), "faces": ranges})
     return listed
+
+
+def ranges_of(chosen: np.ndarray) -> list[list[int]]:
+    """Ranges [first, stop) that hold the places where `chosen` (places,) bool is true, as metadata lists them."""
+    ranges: list[list[int]] = (
+        np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]))).reshape(-1, 2).tolist()
+    )
+    return ranges
 
 
 def _joined_rest(garments: Sequence[Garment]) -> np.ndarray | None:

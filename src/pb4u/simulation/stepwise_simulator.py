@@ -24,7 +24,6 @@ from pb4u.physics.solver.implicit_steps import free_flight
 from pb4u.physics.solver.newton_solver import Solution
 from pb4u.physics.terms.air import Air
 from pb4u.physics.time_step import DivergedError, TimeStep, require_finite
-from pb4u.run import Run
 from pb4u.scene.colliders import ColliderPose
 from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.scene import Scene

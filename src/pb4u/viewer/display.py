@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pb4u.export.shading import SKIN
+from pb4u.export.shading import LIGHTS, SKIN
 from pb4u.viewer.clip import Clip
 from pb4u.viewer.overlay import OVERLAYS, Overlay
 from pb4u.viewer.surface import GarmentsSurface, PaintedSurface, PlainSurface, Surface, coloured_glb
@@ -34,6 +34,9 @@ _MARGIN, _DEPTH = 1.2, 0.3
 
 _GAP = 0.25
 """Between bodies that stand side by side [m]: room for a skirt that swings out."""
+
+_LAMP, _SKY = 3.0, 0.8
+"""Intensity of a light that pictures have at 1, and of what comes from all around, in the browser's unit."""
 
 _IN_FLIGHT = 2
 """Frames that may be under way: one is drawn while the next one travels."""
@@ -61,9 +64,9 @@ def light(scene: SceneApi) -> None:
     scene.world_axes.visible = False
     scene.configure_default_lights(enabled=False)
     scene.configure_environment_map(None)
-    scene.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(190, 180, 170), intensity=1.5)
-    for name, direction, intensity in (("fill", (-5.0, 3.0, 3.0), 0.9), ("rim", (0.0, 5.0, -6.0), 1.3)):
-        scene.add_light_directional(f"/light/{name}", intensity=intensity, position=direction)
+    scene.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(190, 180, 170), intensity=_SKY)
+    for name, (position, intensity) in zip(("fill", "rim"), LIGHTS[1:], strict=True):
+        scene.add_light_directional(f"/light/{name}", intensity=_LAMP * intensity, position=position)
 
 
 class Display:
@@ -83,8 +86,8 @@ class Display:
         self._drawn: object = None
         self._overlay = SHADED
         self.looks: tuple[Overlay, ...] = ()
-        # Low and from the side, so that wrinkles show.
-        self._key = client.scene.add_light_directional("/light/key", intensity=2.9, position=(4.0, 4.5, 5.0))
+        position, intensity = LIGHTS[0]
+        self._key = client.scene.add_light_directional("/light/key", intensity=_LAMP * intensity, position=position)
         self._ground = client.scene.add_grid(
             "/ground", plane="xz", infinite_grid=True, cell_size=_CELL, section_size=2 * _CELL, cell_thickness=0.6,
             section_thickness=0.9, cell_color=(214, 216, 220), section_color=(196, 199, 204), fade_distance=14.0,

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pb4u.export.drawn_cloth import DrawnCloth
 from pb4u.export.sewing_lines import ABOVE, SewingLines, sewing_lines
-from pb4u.export.shading import cloth_parts, garment_colours, unit_normals
+from pb4u.export.shading import cloth_parts, unit_normals
 from pb4u.io.gltf_file import FLOAT, UNSIGNED_BYTE, UNSIGNED_INT, UNSIGNED_SHORT, GltfDocument, glb_head
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ class PlainSurface(Surface):
 
 
 class GarmentsSurface(Surface):
-    """Several garments, each a surface of one colour of its own, with their hems and seams.
+    """Garments, each part of one colour a surface of its own, with their hems and seams.
 
     Args:
         scene: of one page.
@@ -94,11 +95,12 @@ class GarmentsSurface(Surface):
     """
 
     def __init__(self, scene: SceneApi, name: str, header: TrajectoryHeader, wireframe: bool = False) -> None:
-        faces, vertex_garment = header.faces, np.asarray(header.vertex_garment)
-        self._faces = faces
+        parts = cloth_parts(replace(header, appearances=None))
+        # The edges of a wireframe are those that are simulated.
+        self._drawn = DrawnCloth(header, coarse=0) if wireframe else DrawnCloth(header)
         self._lines: list[tuple[SewingLines, LineSegmentsHandle]] = []
-        lines = sewing_lines(header)
-        colours = lines.colours(cloth_parts(replace(header, appearances=None)))
+        lines = self._drawn.lines(sewing_lines(header))
+        colours = lines.colours(parts, self._drawn.parent)
         for width in [] if wireframe else np.unique(lines.width).tolist():
             chosen = lines.width == width
             handle = scene.add_line_segments(
@@ -107,22 +109,18 @@ class GarmentsSurface(Surface):
             )  # fmt: skip
             self._lines.append((lines.at(chosen), handle))
         self._parts: list[tuple[np.ndarray, PlainSurface]] = []
-        place = np.empty(len(vertex_garment), dtype=np.int64)
-        for garment, colour in enumerate(garment_colours(int(vertex_garment.max(initial=0)) + 1).tolist()):
-            rows = np.flatnonzero(vertex_garment == garment)
-            place[rows] = np.arange(len(rows))
-            own = place[faces[vertex_garment[faces[:, 0]] == garment]]
-            if len(own):
-                red, green, blue = colour
-                surface = PlainSurface(scene, f"{name}/{garment}", own, (red, green, blue), wireframe)
-                self._parts.append((rows, surface))
+        for number, part in enumerate(parts):
+            rows, own = np.unique(self._drawn.faces[np.isin(self._drawn.parent, part.faces)], return_inverse=True)
+            surface = PlainSurface(scene, f"{name}/{number}", own.reshape(-1, 3), part.colour, wireframe)
+            self._parts.append((rows, surface))
 
     def show(self, positions: np.ndarray, colours: np.ndarray | None) -> bool:
+        cloth = self._drawn.at(positions)
         if self._lines:
-            above = positions + ABOVE * unit_normals(positions, self._faces)
+            above = cloth + ABOVE * unit_normals(cloth, self._drawn.faces)
             for lines, handle in self._lines:
                 handle.points = lines.of(above).reshape(-1, 2, 3)
-        return all([surface.show(positions[rows], None) for rows, surface in self._parts])
+        return all([surface.show(cloth[rows], None) for rows, surface in self._parts])
 
     def reveal(self) -> None:
         pass
