@@ -22,8 +22,8 @@ from pb4u.run import SECTIONS, Run, WornGarment, entries, located, names_file
 FORMAT_VERSION = 1
 """Version of the scene files that are read and written."""
 
-OF_BEFORE: dict[str, Any] = {"friction_law": "paper"}
-"""What files leave out that were written before the entry was there."""
+OF_BEFORE: Mapping[str, Any] = {"rest_shape": "moulded", "friction_law": "paper"}
+"""What files mean that leave these entries out: what there was before there was a choice, whatever the default is."""
 
 _HEADING = """\
 # A scene of pb4u: run it with `pb4u simulate` and the name of this file.

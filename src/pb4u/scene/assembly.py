@@ -89,7 +89,7 @@ def build_scene(run: Run, written_fps: float | None = None) -> Scene:
     body, performed = perform(run)
     collider, notes, kept = performed.body, performed.notes, run.led_frames if run.keep_lead_in else 0
     frames, lead_in = kept + performed.frames, run.led_frames - kept
-    garments, specified = load_garments(run.garments, body, run.as_recorded)
+    garments, specified = load_garments(run.garments, body, run.as_recorded, run.rest_shape)
     places: Sequence[np.ndarray | None] = (None,) * len(garments)
     if body is not None and len(garments) > 1:
         places = layered(garments, RestBody.of(body))

@@ -88,7 +88,7 @@ def _bodies(selection: DataSelection, rng: np.random.Generator) -> list[ShapedBo
 def _garment(selection: DataSelection, name: str, body: ShapedBody, triangles: int, seed: tuple[int, ...]) -> Garment:
     """A garment of the selection. Its random draws depend on its index alone, so a change of one leaves the others."""
     if _is_file(name):
-        loaded = load_garment(WornGarment(name, triangles=triangles), body)
+        loaded = load_garment(WornGarment(name, triangles=triangles), body, "moulded")
         if loaded.rest_uv is not None:
             raise InputError(f"{name} is sewn of flat panels, which training does not take; give its mesh.")
         return loaded
@@ -98,7 +98,7 @@ def _garment(selection: DataSelection, name: str, body: ShapedBody, triangles: i
     if name == CAPE:
         garment = cape(body, count, rng)
     else:
-        garment = varied_garment(name, body, count, rng) if varies else build_garment(name, body, count)
+        garment = varied_garment(name, body, count, rng) if varies else build_garment(name, body, count, "moulded")
     return uneven(garment, body, rng) if refined else garment
 
 
