@@ -69,7 +69,7 @@ class _Solution(torch.autograd.Function):
 
 
 def _system(garments: PackedGarments, length: float) -> tuple[np.ndarray, np.ndarray, Any]:
-    """Areas (vertices,) [m^2] that values count with, and the matrix: its diagonal and, sparse, minus what is beside."""
+    """Areas (vertices,) [m^2] that values count with; the matrix: its diagonal and, sparse, minus what is beside."""
     from scipy.sparse import coo_array
 
     second, third = garments.inverse_rest_shape.double().unbind(1)
