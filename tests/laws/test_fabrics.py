@@ -115,6 +115,15 @@ def test_the_second_derivative_of_a_stiffening_membrane_is_that_of_differences()
     assert float(negative.abs().max()) > 0.0
 
 
+def test_a_step_that_begins_far_beyond_the_limit_is_solved() -> None:
+    hard = replace(KNIT, stiffening_strain=0.01, stiffening_stiffness=1e5)
+    garment = cut(sheet(10, 10, 0.3, 0.3), 0.3, hard)
+    garments = packed(garment.with_pins(np.isin(garment.vertices[:, 1], [0.0, 0.3])))
+    start = garments.rest_positions * torch.tensor([1.0, 1.25, 1.0], dtype=torch.float64)
+    solution = Solver().minimise(potential_of(garments, at_rest(garments, start)), start)
+    assert solution.converged
+
+
 def test_equal_constants_are_the_isotropic_cloth() -> None:
     c11, c22, c12, c33 = EVALUATION.membrane
     same = replace(EVALUATION, bending_stiffness=DirectionalBending(*3 * [EVALUATION.bending / 4.0]))
