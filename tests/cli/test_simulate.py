@@ -384,7 +384,7 @@ def test_a_number_out_of_range_is_refused_whatever_the_model(
         (("--garment", "coat"), "did you mean cardigan"),
         (("--body", "female"), "did you mean woman"),
         (("--body", "smpl"), "give the file of the model"),
-        (("--material", "polyester"), "There are default, cotton"),
+        (("--material", "polyester"), "did you mean polyester-plain"),
         (("--recorded-fps", 60), "was not recorded; leave out"),
         (("--texture", "clip.mp4"), "is no image"),
     ],

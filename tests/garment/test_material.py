@@ -57,6 +57,21 @@ def test_fabrics_are_named_and_say_where_their_numbers_come_from() -> None:
         assert 0.008 < (0.25 * fabric.bending / (9.81 * fabric.density)) ** (1 / 3) < 0.045, name
 
 
+def test_the_page_of_fabrics_lists_each_with_its_numbers() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "science" / "fabrics.md").read_text()
+    rows = [line.strip("| ").split(" | ") for line in page.split("## How they drape")[0].splitlines() if "| `" in line]
+    rows = [row for row in rows if row[0].strip("`") in FABRICS]
+    assert [row[0].strip("`") for row in rows] == list(FABRICS)
+    for name, weight, stretch, shear, bending, values in rows:
+        fabric = FABRICS[name.strip("`")]
+        assert float(weight) == pytest.approx(1e3 * fabric.density, rel=5e-3)
+        assert [float(each) for each in stretch.split(", ")] == pytest.approx(fabric.membrane[1::-1], rel=5e-3)
+        assert float(shear) == pytest.approx(fabric.shear_stiffness, rel=5e-3)
+        of_plate = [1e6 * each for each in asdict(fabric)["bending_stiffness"].values()]
+        assert [float(each) for each in bending.split(", ")] == pytest.approx(of_plate, rel=5e-3)
+        assert (values == "measured") == fabric.source.startswith("Measured")
+
+
 def test_published_drape_is_of_fabrics_that_are_there() -> None:
     bands = json.loads((Path(__file__).parents[2] / "benchmarks" / "drape_bands.json").read_text())
     assert set(bands) <= set(FABRICS)
