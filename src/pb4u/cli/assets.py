@@ -114,7 +114,7 @@ def _body_entries(name: str) -> dict[str, Any]:
 
 def _material_line(material: Material) -> str:
     warp, weft, bends = material.warp_stiffness, material.weft_stiffness, 0.25e6 * material.bending
-    return f"{1e3 * material.density:.3g} g/m^2, warp {warp:.3g} and weft {weft:.3g} N/m, bends with {bends:.2g} uN m"
+    return f"{1e3 * material.density:.3g} g/m^2, warp {warp:.4g} and weft {weft:.4g} N/m, bends with {bends:.2g} uN m"
 
 
 @group.command("write", cls=Verb)
