@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,7 @@ from pb4u.errors import InputError, InputWarning
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import read_garment
 from pb4u.garment.library import build_garment
-from pb4u.garment.material import MATERIALS
+from pb4u.garment.material import MATERIALS, Material
 from pb4u.garment.pins import resolve_pins
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.motion.library import load_motion
@@ -68,6 +70,22 @@ def test_a_built_in_skirt_is_pinned_and_not_told(woman: ShapedBody) -> None:
         warnings.simplefilter("error")
         scene = make_scene("skirt", woman, triangles=600, frames=2, lead_in=0)
     assert scene.garments[0].garment.pinned.any()
+
+
+def test_folds_of_woven_cloth_that_a_mesh_is_too_coarse_for_are_told(woman: ShapedBody) -> None:
+    """The count that is named has them, and cloth with soft threads is not told of."""
+    silk = Material(0.06, 900.0, 700.0, 40.0, 12.0, 8e-7)
+    assert silk.bending_length == pytest.approx(0.01108, rel=1e-3)
+    coarse, short = build_garment("skirt", woman, 600).with_material(silk), {"frames": 2, "lead_in": 0}
+    with pytest.warns(InputWarning, match="skirt: edges of .. mm are too long for the folds of this cloth") as caught:
+        scene = make_scene(coarse, woman, **short)
+    assert scene.notes == (str(caught[0].message),)
+    enough = int(re.search(r"(\d+) triangles", scene.notes[0])[1])  # type: ignore[index]
+    limp = replace(silk, bending_stiffness=0.0)
+    soft = replace(silk, warp_stiffness=40.0, weft_stiffness=40.0, coupling_stiffness=10.0)
+    fine = build_garment("skirt", woman, round(1.02 * enough)).with_material(silk)
+    for garment in (fine, coarse.with_material(soft), coarse.with_material(limp)):
+        assert make_scene(garment, woman, **short).notes == ()
 
 
 def assert_same(one: Scene, other: Scene) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pb4u.environment import STANDARD_GRAVITY
 from pb4u.errors import InputError, unknown_name
 from pb4u.garment.arcsim_material import arcsim_fields, is_arcsim
 from pb4u.io.reading_limits import read_json, refusing
@@ -200,6 +201,14 @@ class Material:
         """Coefficient of a hinge [J] of the isotropic cloth that is nearest: four times its bending stiffness."""
         own = self.bending_stiffness
         return 4.0 * (own.mean if isinstance(own, DirectionalBending) else own)
+
+    @property
+    def bending_length(self) -> float:
+        """Half of the overhang [m] at which the end of a strip hangs at 41.5 degrees: the size of its folds.
+
+        (B / w)^(1/3), of bending stiffness [N m] and weight by area [N/m^2] (Peirce 1930; ASTM D1388).
+        """
+        return float((0.25 * self.bending / (STANDARD_GRAVITY * self.density)) ** (1.0 / 3.0))
 
     @property
     def has_grain(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,16 @@ from pb4u.scene.scene import DressedGarment, Scene
 
 _SUNKEN = 0.05
 """Depth [m] under the ground from which on a body does not stand on it; feet of a body that does sink in less."""
+
+_STIFF = 200.0
+"""Modulus [N/m] of both threads from which on cloth is told of: all that is woven."""
+
+_EDGE_OF_A_FOLD = 1.5
+"""Edge length over the bending length of cloth from which on a good part of its folds is lost.
+
+Curvature of a walking T-shirt of silk with edges of 2.5, 1.6 and 1.2 bending lengths: 23, 30 and 37 /m; of poplin with
+1.6 and 0.8: 23 and 31 /m. With soft threads and the same bending silk has 23, 32 and 37 /m.
+"""
 
 GarmentChoice: TypeAlias = str | Path | Garment | WornGarment
 
@@ -97,7 +108,7 @@ def build_scene(run: Run, written_fps: float | None = None) -> Scene:
         written = round(kept * (written_fps or run.fps) / run.fps)
         notes = (*notes, f"The first {written} frames lead from the rest pose into the motion.")
     ground, more = _ground(run, collider, lead_in + frames)
-    notes = (*notes, *more)
+    notes = (*notes, *more, *_lost_folds(garments))
     sources = [str(each.garment) if isinstance(each.garment, str | Path) else None for each in specified]
     return Scene(
         garments=tuple(dressed),
@@ -135,6 +146,24 @@ def _ground(run: Run, collider: AnimatedBody, frames: int) -> tuple[float | None
     note = f"{collider.name} reaches {usual - lowest:.2f} m below height {usual:g}, so the ground is put there."
     warn(note)
     return lowest, (note,)
+
+
+def _lost_folds(garments: Sequence[Garment]) -> tuple[str, ...]:
+    """What is to be told of woven garments whose folds are finer than their mesh."""
+    notes = []
+    for garment in garments:
+        made_of = garment.materials or (garment.material,)
+        folds = [each.bending_length for each in made_of if min(each.membrane[:2]) >= _STIFF and each.bending > 0]
+        edge, longest = garment.mean_edge_length, _EDGE_OF_A_FOLD * min(folds, default=math.inf)
+        if edge <= longest:
+            continue
+        enough = math.ceil(len(garment.faces) * (edge / longest) ** 2 / 100) * 100
+        notes.append(
+            f"{garment.name}: edges of {1e3 * edge:.0f} mm are too long for the folds of this cloth; {enough} "
+            f"triangles have edges of {1e3 * longest:.0f} mm, which have most of them."
+        )
+        warn(notes[-1])
+    return tuple(notes)
 
 
 def _placement(garment: Garment, collider: AnimatedBody, worn: np.ndarray | None) -> Placement:
