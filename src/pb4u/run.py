@@ -147,6 +147,9 @@ class Run:
         self_contact: No cloth goes through cloth, within a garment and between garments. Default: on for the solver and
             networks; skinning cannot.
         propagation_steps: Propagation steps of a network. Default: by the mesh's resolution.
+        scaling: Factors on what a network of Pb4U-GNet's family predicts: by the edge length at each vertex (the
+            paper's), by the mean edge length, none, or band-split, which scales wrinkles and leaves bulk motion as it
+            is. Default: as it was trained.
         passes: How often a network is evaluated in each step. Default: its own number, and more where a step needs
             it, or 1 with --refine.
         device: Where a network computes; the solver always runs on the CPU. Of several cards the first that
@@ -191,6 +194,9 @@ class Run:
     contact: Annotated[bool, _model(applies_to=STEPS)] = True
     self_contact: Annotated[bool | None, _model(applies_to=STEPS)] = None
     propagation_steps: Annotated[int | None, _model("K", least=1, most=500, applies_to=NETWORK, label="")] = None
+    scaling: Annotated[
+        Literal["per-vertex", "mean", "none", "band-split"] | None, _model("NAME", applies_to=NETWORK)
+    ] = None
     passes: Annotated[int | None, _model("N", least=1, most=1000, applies_to=PASSES)] = None
     device: Annotated[Literal["auto", "cpu", "cuda"], _model()] = "auto"
     precision: Annotated[Literal["auto", "float32", "bfloat16"], _model(applies_to=NETWORK)] = "auto"

@@ -20,6 +20,7 @@ from pb4u.network.graph.pins import PinsAtPresent, PinsAtTarget, PinsAtTargetInE
 from pb4u.network.graph.world_edges import NearestFaceRule, WorldEdgeRule
 from pb4u.network.mlp import SplitMLP
 from pb4u.network.normaliser import Normaliser
+from pb4u.network.update_scaling import UpdateScale
 from pb4u.scene.packed import PackedGarments
 
 ACCELERATION = Feature("acceleration", 3, "m/step^2", True, 3e-3, "x(t+1) - 2 x(t) + x(t-1), in displacement units")
@@ -156,11 +157,12 @@ class GraphNetwork(nn.Module, ABC):
         """
         return 0
 
-    def update_scale(self, garments: GarmentGraph) -> Tensor | None:
-        """Factors (vertices, 1), dimensionless, on the accelerations, or None for 1.
+    def update_scale(self, garments: PackedGarments, graph: GarmentGraph) -> UpdateScale | None:
+        """Factors on the accelerations, or None for 1.
 
         Args:
-            garments: static graph of the pack.
+            garments: the pack.
+            graph: its static graph.
         """
         return None
 
@@ -180,14 +182,14 @@ class PreparedGarments:
     Args:
         builder: makes the graph of a step.
         steps: propagation steps of each garment.
-        scale: (vertices, 1) dimensionless factors on the accelerations, or None for 1.
+        scale: factors on the accelerations, or None for 1.
         losses: losses that the method minimises in training besides the incremental potential.
         descent_size: RMS to which gradient features are normalised, in edge lengths; 0 leaves them as they are.
     """
 
     builder: GraphBuilder
     steps: tuple[int, ...]
-    scale: Tensor | None
+    scale: UpdateScale | None
     losses: tuple[FurtherLoss, ...] = ()
     descent_size: float = 0.0
 
@@ -274,7 +276,7 @@ class AccelerationModel(nn.Module):
             static, layout, configuration.world_edges, derived.finder, derived.rest, configuration.pins
         )
         steps = tuple(network.propagation_steps(length) for length in garments.mean_edge_lengths)
-        scale = network.update_scale(static)
+        scale = network.update_scale(garments, static)
         prepared = PreparedGarments(builder, steps, scale, derived.losses, configuration.descent_size)
         return prepared if propagation_steps is None else prepared.with_steps(propagation_steps)
 
@@ -304,7 +306,7 @@ class AccelerationModel(nn.Module):
         """
         output = self.network(self.normalised(graph), prepared.steps).to(prepared.builder.dtype)
         acceleration = self.acceleration_normaliser.restore(output)
-        return acceleration if prepared.scale is None else prepared.scale * acceleration
+        return acceleration if prepared.scale is None else prepared.scale(acceleration)
 
     def normalised(self, graph: Graph) -> Graph:
         """Graph with centred and scaled features, in the precision of the network's weights or float32 at least.

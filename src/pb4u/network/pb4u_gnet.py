@@ -15,7 +15,8 @@ from pb4u.network.interaction_block import InteractionBlock
 from pb4u.network.mlp import MLP, SplitMLP
 from pb4u.network.propagation import Propagation, PropagationForm
 from pb4u.network.propagation_control import ConstantDistance, FixedSteps, TruncatedDistance
-from pb4u.network.update_scaling import MeanScaling, NoScaling, PerVertexScaling
+from pb4u.network.update_scaling import PerVertexScaling, Scaling, UpdateScale, scaling_of
+from pb4u.scene.packed import PackedGarments
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +33,7 @@ class Pb4uConfiguration(NetworkConfiguration):
     blocks: int = 15
     propagation: PropagationForm = field(default_factory=PropagationForm)
     control: ConstantDistance | TruncatedDistance | FixedSteps = field(default_factory=ConstantDistance)
-    scaling: PerVertexScaling | MeanScaling | NoScaling = field(default_factory=PerVertexScaling)
+    scaling: Scaling = field(default_factory=PerVertexScaling)
 
     def network(self) -> Pb4uGNet:
         """A network of this configuration with fresh weights."""
@@ -77,10 +78,11 @@ class Pb4uGNet(EncodeProcessDecode):
         """
         return self.configuration.control.steps(mean_edge_length)
 
-    def update_scale(self, garments: GarmentGraph) -> Tensor | None:
-        """Factors S (vertices, 1), dimensionless, on the accelerations, or None for 1.
+    def update_scale(self, garments: PackedGarments, graph: GarmentGraph) -> UpdateScale | None:
+        """Factors S on the accelerations, or None for 1.
 
         Args:
-            garments: rest lengths of the garments' edges.
+            garments: the pack.
+            graph: its static graph, with the rest lengths of the garments' edges.
         """
-        return self.configuration.scaling.factors(garments)
+        return scaling_of(self.configuration.scaling, garments, graph)

@@ -1,13 +1,43 @@
-"""Factors on predicted accelerations (paper, "Resolution-Aware Update Scaling")."""
+"""Factors on predicted accelerations (paper, "Resolution-Aware Update Scaling"), and the split of them by wavelength."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from pb4u.errors import InputError
 from pb4u.network.graph.garment_graph import GarmentGraph
+from pb4u.network.surface_low_pass import SurfaceLowPass
+from pb4u.scene.packed import PackedGarments
+
+
+@dataclass(frozen=True, eq=False)
+class UpdateScale:
+    """Factors on the accelerations of a pack.
+
+    Args:
+        wrinkles: (vertices, 1) dimensionless factors; on what is short alone, where there is a low-pass.
+        bulk: (vertices, 1) dimensionless factors on what is long, or None where nothing tells them apart.
+        low_pass: gives what is long, or None.
+    """
+
+    wrinkles: Tensor
+    bulk: Tensor | None = None
+    low_pass: SurfaceLowPass | None = None
+
+    def __call__(self, accelerations: Tensor) -> Tensor:
+        """Scaled accelerations (vertices, 3), in the unit of those given.
+
+        Args:
+            accelerations: (vertices, 3) of any unit.
+        """
+        if self.low_pass is None or self.bulk is None:
+            return self.wrinkles * accelerations
+        smooth = self.low_pass(accelerations)
+        return self.bulk * smooth + self.wrinkles * (accelerations - smooth)
 
 
 @dataclass(frozen=True)
@@ -26,11 +56,27 @@ class PerVertexScaling:
         Args:
             garments: static graph of the pack.
         """
-        return (garments.incident_length / self.reference_length)[:, None]
+        return self.lengths(garments) / self.reference_length
+
+    def lengths(self, garments: GarmentGraph) -> Tensor:
+        """Lengths (vertices, 1) [m] that the factors follow.
+
+        Args:
+            garments: static graph of the pack.
+        """
+        return garments.incident_length[:, None]
+
+    def low_pass(self, garments: PackedGarments) -> SurfaceLowPass | None:
+        """What tells bulk from wrinkles, or None where both have one factor.
+
+        Args:
+            garments: the pack.
+        """
+        return None
 
 
 @dataclass(frozen=True)
-class MeanScaling:
+class MeanScaling(PerVertexScaling):
     """The released form: one factor a garment, its mean rest edge length / L_ref (reference 7: L_ref = 1 cm).
 
     Args:
@@ -39,9 +85,9 @@ class MeanScaling:
 
     reference_length: float = 0.01
 
-    def factors(self, garments: GarmentGraph) -> Tensor | None:
+    def lengths(self, garments: GarmentGraph) -> Tensor:
         lengths = torch.tensor(garments.mean_edge_lengths, dtype=garments.incident_length.dtype)
-        return (lengths.to(garments.node_owner.device) / self.reference_length)[garments.node_owner][:, None]
+        return lengths.to(garments.node_owner.device)[garments.node_owner][:, None]
 
 
 @dataclass(frozen=True)
@@ -50,3 +96,146 @@ class NoScaling:
 
     def factors(self, garments: GarmentGraph) -> Tensor | None:
         return None
+
+    def lengths(self, garments: GarmentGraph) -> Tensor | None:
+        return None
+
+    def low_pass(self, garments: PackedGarments) -> SurfaceLowPass | None:
+        return None
+
+
+@dataclass(frozen=True)
+class BandSplitScaling(PerVertexScaling):
+    """Bulk as predicted, wrinkles by the paper's rule up to 1: low(A) + min(1, s_i / L_ref) (A - low(A)).
+
+    docs/science/update_scaling.md derives it.
+
+    Args:
+        reference_length: L_ref [m].
+        low_pass_length: l of the low-pass [m]; waves of 2 pi l are halved.
+
+    Raises:
+        InputError: a low-pass of nothing, or of a metre or more, which leaves no bulk.
+    """
+
+    low_pass_length: float = 0.09
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.low_pass_length < 1.0:
+            raise InputError(
+                f"network.scaling.low_pass_length must be above 0 and below 1 m, a garment's size, not "
+                f"{self.low_pass_length:g}."
+            )
+
+    def factors(self, garments: GarmentGraph) -> Tensor | None:
+        factors = super().factors(garments)
+        return None if factors is None else factors.clamp_max(1.0)
+
+    def low_pass(self, garments: PackedGarments) -> SurfaceLowPass | None:
+        for garment, length in zip(garments.garments, garments.mean_edge_lengths, strict=True):
+            if length >= self.low_pass_length:
+                raise InputError(
+                    f"{garment.name}: its edges are {1e3 * length:.0f} mm long on average, and a low-pass of "
+                    f"{1e3 * self.low_pass_length:.0f} mm tells no bulk from wrinkles there; take more triangles, or "
+                    "another scaling than band-split."
+                )
+        return SurfaceLowPass(garments, self.low_pass_length)
+
+
+Scaling = PerVertexScaling | MeanScaling | NoScaling | BandSplitScaling
+
+SCALINGS: Mapping[str, type[PerVertexScaling] | type[NoScaling]] = {
+    "per-vertex": PerVertexScaling,
+    "mean": MeanScaling,
+    "none": NoScaling,
+    "band-split": BandSplitScaling,
+}
+"""Rules by the names that `--scaling` takes."""
+
+
+def scaling_name(scaling: Scaling) -> str:
+    """Name of a rule, as `--scaling` takes it.
+
+    Args:
+        scaling: the rule.
+    """
+    return next(name for name, kind in SCALINGS.items() if kind is type(scaling))
+
+
+def scaling_of(scaling: Scaling, garments: PackedGarments, graph: GarmentGraph) -> UpdateScale | None:
+    """Factors of a rule on a pack; None for 1.
+
+    Args:
+        scaling: the rule.
+        garments: the pack.
+        graph: its static graph.
+
+    Raises:
+        InputError: the edges of a garment are longer than what the rule tells apart.
+    """
+    factors = scaling.factors(graph)
+    if factors is None:
+        return None
+    low_pass = scaling.low_pass(garments)
+    return UpdateScale(factors, None if low_pass is None else torch.ones_like(factors), low_pass)
+
+
+@dataclass(frozen=True)
+class SwitchedScaling:
+    """Another rule than that of the training, on the same weights; both are one at the training's own resolution.
+
+    There a garment's edges have the length L_t, and the weights have learnt beside the factor that their own rule has
+    for it. The other rule's factor, relative to that for L_t and at most 1, multiplies this one.
+
+    Args:
+        used: the rule.
+        trained: that of the training.
+        triangles: most triangles that a garment had in the training; 0 where that is not known.
+        edge_lengths: finest and coarsest mean rest edge length in the training [m].
+    """
+
+    used: Scaling
+    trained: Scaling
+    triangles: int
+    edge_lengths: tuple[float, float]
+
+    def of(self, garments: PackedGarments, graph: GarmentGraph) -> UpdateScale:
+        """Factors on a pack.
+
+        Args:
+            garments: the pack.
+            graph: its static graph.
+
+        Raises:
+            InputError: the edges of a garment are longer than what the rule tells apart.
+        """
+        own = torch.tensor([self._trained_length(garments, k) for k in range(garments.garment_count)])
+        lengths = own.to(graph.incident_length)[graph.node_owner][:, None]
+        learnt = torch.ones_like(lengths)
+        if type(self.trained) in (PerVertexScaling, MeanScaling):
+            learnt = lengths / self.trained.reference_length  # type: ignore[union-attr]
+        present = self.used.lengths(graph)
+        factors = learnt if present is None else learnt * (present / lengths).clamp_max(1.0)
+        low_pass = self.used.low_pass(garments)
+        return UpdateScale(factors, None if low_pass is None else learnt, low_pass)
+
+    def _trained_length(self, garments: PackedGarments, number: int) -> float:
+        """Mean edge length [m] of a garment at the number of triangles of the training."""
+        finest, coarsest = self.edge_lengths
+        length, triangles = garments.mean_edge_lengths[number], garments.garments[number].triangle_count
+        if self.triangles:
+            length *= (triangles / self.triangles) ** 0.5
+        return min(max(length, finest), coarsest)
+
+
+def with_scaling(scaling: Scaling, name: str) -> Scaling:
+    """The rule of a name, with the reference length of another rule where both have one.
+
+    Args:
+        scaling: the other rule.
+        name: per-vertex, mean, none or band-split.
+    """
+    kind = SCALINGS[name]
+    if not isinstance(scaling, PerVertexScaling) or kind is NoScaling:
+        return scaling if type(scaling) is kind else kind()
+    return replace(kind(), reference_length=scaling.reference_length)

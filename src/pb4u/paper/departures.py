@@ -9,7 +9,7 @@ from pb4u.network.graph.world_edges import WorldEdgeRule
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.network.propagation import PAPER_PROPAGATION
 from pb4u.network.propagation_control import FixedSteps
-from pb4u.network.update_scaling import PerVertexScaling
+from pb4u.network.update_scaling import PerVertexScaling, scaling_name
 from pb4u.simulation.checkpoint import Checkpoint
 
 NODE = {"velocity", "vertex_mass", "mass", "normal", "material"}
@@ -44,6 +44,7 @@ def description(checkpoint: Checkpoint) -> dict[str, Any]:
             "mesh_edge": list(layout.mesh_edge),
             "world_edge": list(layout.world_edge),
         },
+        "scaling": scaling_name(configuration.scaling) if isinstance(configuration, Pb4uConfiguration) else "none",
         "start": "body-motion warm start" if configuration.warm_start_shares else "free flight",
         "search": "joined passes, by a line search on the energies" if configuration.conjugate else "none",
         "trained": {
@@ -81,7 +82,7 @@ def departures(checkpoint: Checkpoint) -> list[str]:
         found.append("Propagation has the form of the released code.")
     if isinstance(configuration.control, FixedSteps):
         found.append("The number of propagation steps does not follow the resolution.")
-    if not isinstance(configuration.scaling, PerVertexScaling):
+    if type(configuration.scaling) is not PerVertexScaling:
         found.append("Updates are not scaled by the edge length at each vertex.")
     return found + _training(configuration, checkpoint)
 

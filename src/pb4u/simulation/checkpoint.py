@@ -21,6 +21,7 @@ from pb4u.garment.garment import Garment
 from pb4u.io.atomic_file import replace_file
 from pb4u.io.reading_limits import error_text, parse_json
 from pb4u.network.acceleration_model import AccelerationModel, NetworkConfiguration, PreparedGarments
+from pb4u.network.update_scaling import SwitchedScaling, scaling_name, with_scaling
 from pb4u.registry import Registry
 from pb4u.scene.packed import PackedGarments
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
@@ -100,6 +101,27 @@ class Checkpoint:
         for garment, steps in zip(garments.garments, prepared.steps, strict=True):
             self.warn_of(garment, steps)
         return prepared
+
+    def scaling_in_use(self, name: str | None) -> SwitchedScaling | None:
+        """Rule of a name in the place of that of the training; None where it is the same, or none is named.
+
+        Args:
+            name: per-vertex, mean, none or band-split.
+
+        Raises:
+            InputError: the network has no update scaling.
+        """
+        if name is None:
+            return None
+        trained = getattr(self.configuration, "scaling", None)
+        if trained is None:
+            raise InputError(
+                f"The network {self.name} is not of Pb4U-GNet's family and has no update scaling; leave --scaling out."
+            )
+        if name == scaling_name(trained):
+            return None
+        seen = self.record.details.get("triangles") or [0]
+        return SwitchedScaling(with_scaling(trained, name), trained, max(seen), self.record.mean_edge_lengths)
 
     def warn_of(self, garment: Garment, steps: int) -> None:
         """Warn where a garment's resolution or number of propagation steps was never seen in training.

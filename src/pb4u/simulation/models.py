@@ -192,7 +192,9 @@ def simulator_of(run: Run) -> Simulator:
     device = available_device(run.device)
     precision = _precision(run.precision, device, run.refine)
     checkpoint = load_checkpoint_of(model)
-    return NetworkSimulator(checkpoint, run.propagation_steps, device, passes, precision, refine=run.refine, **common)
+    return NetworkSimulator(
+        checkpoint, run.propagation_steps, device, passes, precision, run.scaling, refine=run.refine, **common
+    )
 
 
 def _shipped_network(control: str) -> str:

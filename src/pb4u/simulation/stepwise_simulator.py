@@ -18,6 +18,7 @@ from pb4u.collision.rooms import Rooms
 from pb4u.errors import InputError, InputWarning
 from pb4u.network.acceleration_model import require_propagation_steps
 from pb4u.network.graph.features import ADVANCE
+from pb4u.network.update_scaling import scaling_name
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.integrator import IMPLICIT_EULER, Integrator
 from pb4u.physics.solver.implicit_steps import free_flight
@@ -222,11 +223,12 @@ class NetworkSimulator(StepwiseSimulator):
         device: device that the network computes on.
         passes: evaluations of the network in a step; None is its own number.
         precision: data type of the network's products.
+        scaling: rule for the factors on its predictions, by name; None is that of its training.
         common: arguments of every `StepwiseSimulator`.
 
     Raises:
-        InputError: less than 1 pass, or more than 1 of a network that does not distinguish passes, and for a
-            number of propagation steps out of range.
+        InputError: less than 1 pass, or more than 1 of a network that does not distinguish passes, a number of
+            propagation steps out of range, and a scaling of a network that has none.
     """
 
     def __init__(
@@ -236,6 +238,7 @@ class NetworkSimulator(StepwiseSimulator):
         device: torch.device | str = "cpu",
         passes: int | None = None,
         precision: torch.dtype = torch.float32,
+        scaling: str | None = None,
         **common: Any,
     ) -> None:
         super().__init__(**common)
@@ -256,7 +259,7 @@ class NetworkSimulator(StepwiseSimulator):
         model = checkpoint.model
         if next(model.parameters()).device != self.device:
             model = copy.deepcopy(model).to(self.device)
-        self.precision = precision
+        self.precision, self.scaling = precision, checkpoint.scaling_in_use(scaling)
         self.checkpoint = replace(checkpoint, model=model.for_inference(precision))
 
     def settings(self) -> dict[str, Any]:
@@ -267,6 +270,7 @@ class NetworkSimulator(StepwiseSimulator):
             "device": str(self.device),
             "precision": str(self.precision).removeprefix("torch."),
             "weights_licence": self.checkpoint.licence,
+            **({} if self.scaling is None else {"scaling": scaling_name(self.scaling.used)}),
         }
 
     def timeline(self, *scenes: Scene) -> Timeline:
@@ -390,6 +394,8 @@ class NetworkSimulator(StepwiseSimulator):
         garments: PackedGarments = pack(timeline.garments.garments, torch.float32, self.device, worlds)
         model = self.checkpoint.model
         prepared = (model if self.refine else self.checkpoint).prepare(garments, self.override)
+        if self.scaling is not None:
+            prepared = replace(prepared, scale=self.scaling.of(garments, prepared.builder.static))
         features = StepFeatures(prepared, self.potential)
         return StepMethod(
             start_of(model.network, self.potential),

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from typing import Any, NamedTuple
 
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, refuse_unknown, unknown_name
 from pb4u.network.acceleration_model import NetworkConfiguration
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.network.registry import NETWORKS
+from pb4u.network.update_scaling import SCALINGS, with_scaling
 from pb4u.registry import Registry
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 from pb4u.training.curriculum import Curriculum
@@ -217,7 +218,8 @@ def with_settings(configuration: TrainingConfiguration, settings: Sequence[str])
 
     Args:
         configuration: to be changed.
-        settings: such as batch=2 or curriculum.learning_rate=1e-3; network=NAME takes a network preset whole.
+        settings: such as batch=2 or curriculum.learning_rate=1e-3; network=NAME takes a network preset whole, and
+            network.scaling=NAME a rule of update scaling.
 
     Raises:
         InputError: an unknown key, with those near it, or a value of another type.
@@ -229,8 +231,18 @@ def with_settings(configuration: TrainingConfiguration, settings: Sequence[str])
         if key.strip() == "network":
             configuration = replace(configuration, network=NETWORKS.named(text.strip()))
             continue
+        if key.strip() == "network.scaling":
+            configuration = replace(configuration, network=_rescaled(configuration.network, text.strip()))
+            continue
         configuration = _replaced(configuration, key.strip(), key.strip().split("."), text.strip())
     return configuration
+
+
+def _rescaled(network: NetworkConfiguration, name: str) -> NetworkConfiguration:
+    if not isinstance(network, Pb4uConfiguration):
+        raise InputError("network.scaling is set for Pb4U-GNet's family alone; this network has no update scaling.")
+    refuse_unknown("scaling", [name], SCALINGS)
+    return replace(network, scaling=with_scaling(network.scaling, name))
 
 
 def _replaced(record: Any, key: str, path: list[str], text: str) -> Any:

@@ -1,0 +1,131 @@
+"""Values on garments without what is short along the surface: a screened Poisson equation on the rest mesh."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.scene.packed import PackedGarments
+from pb4u.threads import to_device
+
+_TOLERANCE = 1e-5
+"""Error of the sweeps, relative to what they solve for; single precision of the accelerations leaves about that."""
+
+_MOST_SWEEPS = 500
+"""Limit for meshes with slivers, where the bound of the spectrum is far too careful."""
+
+
+class SurfaceLowPass:
+    """The operator (M + l^2 C)^-1 M, M the vertices' areas and C the stiffness of the Laplacian by cotangents.
+
+    On a plane it multiplies a wave of length w by 1 / (1 + (2 pi l / w)^2); what is constant over a piece it keeps. At
+    an edge whose cotangents sum to less than nothing the stiffness is 0, so that no value leaves the range of those
+    given. Pinned vertices have no part in it: what a network predicts there is not trained, and is not used.
+
+    On a processor the matrix is factorised once; elsewhere a fixed number of Chebyshev sweeps solves for it, without
+    waiting for the device.
+
+    Args:
+        garments: the pack, on the device of the values.
+        length: l [m].
+        sweeps: whether to solve by sweeps; by default where the garments are not on a processor.
+    """
+
+    def __init__(self, garments: PackedGarments, length: float, sweeps: bool | None = None) -> None:
+        on_processor = garments.device.type == "cpu"
+        areas, stiffness = _areas_and_stiffness(garments)
+        self._areas = to_device(torch.from_numpy(areas)[:, None], garments.device)
+        makes = _by_sweeps if (not on_processor if sweeps is None else sweeps) else _by_factors
+        self._solve = makes(areas, length**2 * stiffness, garments.device)
+
+    def __call__(self, values: Tensor) -> Tensor:
+        """Smooth part (vertices, columns) of `values`, in their unit and precision; differentiable.
+
+        Args:
+            values: (vertices, columns) of any unit.
+        """
+        smooth: Tensor = _Solution.apply(values.to(torch.float64), self._areas, self._solve)
+        return smooth.to(values)
+
+
+class _Solution(torch.autograd.Function):
+    """A^-1 M x with a symmetric A, so that M A^-1 g is its derivative."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, areas: Tensor, solve: Callable[[Tensor], Tensor]) -> Tensor:
+        ctx.areas, ctx.solve = areas, solve
+        return solve(areas * values)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:  # type: ignore[override]
+        return ctx.areas * ctx.solve(gradient), None, None
+
+
+def _areas_and_stiffness(garments: PackedGarments) -> tuple[np.ndarray, Any]:
+    """Areas (vertices,) [m^2], 1 where no face is, and the symmetric weights of edges (vertices, vertices), sparse."""
+    from scipy.sparse import coo_array
+
+    second, third = garments.inverse_rest_shape.double().unbind(1)
+    slopes = torch.stack([-second - third, second, third], dim=1)
+    weights = -garments.face_areas.double()[:, None] * (slopes * slopes.roll(-1, 1)).sum(2)
+    ends = torch.stack([garments.faces, garments.faces.roll(-1, 1)]).reshape(2, -1).cpu().numpy()
+    count = garments.vertex_count
+    halves = coo_array((weights.reshape(-1).cpu().numpy(), tuple(ends)), (count, count)).tocsr()
+    summed = (halves + halves.T).tocoo()
+    pinned = garments.pinned.cpu().numpy()
+    joined = ~(pinned[summed.row] | pinned[summed.col])
+    kept = np.where(joined, np.maximum(summed.data, 0.0), 0.0)
+    areas = garments.vertex_areas.double().cpu().numpy()
+    return np.where(areas > 0.0, areas, 1.0), coo_array((kept, (summed.row, summed.col)), (count, count)).tocsr()
+
+
+def _by_factors(areas: np.ndarray, weights: Any, device: torch.device) -> Callable[[Tensor], Tensor]:
+    from scipy.sparse import diags_array
+    from scipy.sparse.linalg import splu
+
+    matrix = (diags_array(areas + weights.sum(1)) - weights).tocsc()
+    # Symmetric and positive definite: no pivots are looked for, and the order keeps the factors sparse.
+    factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+
+    def solve(values: Tensor) -> Tensor:
+        return torch.from_numpy(factors.solve(values.detach().numpy()))
+
+    return solve
+
+
+def _by_sweeps(areas: np.ndarray, weights: Any, device: torch.device) -> Callable[[Tensor], Tensor]:
+    """Chebyshev sweeps on D^-1 A, D the diagonal of A: by Gershgorin's circles its spectrum lies in [least, most]."""
+    rows = np.repeat(np.arange(len(areas)), np.diff(weights.indptr))
+    diagonal = areas + weights.sum(1)
+    width = max(int(np.diff(weights.indptr).max(initial=0)), 1)
+    column = np.arange(len(rows)) - weights.indptr[rows]
+    neighbours, shares = np.zeros((len(areas), width), dtype=np.int64), np.zeros((len(areas), width, 1))
+    neighbours[rows, column], shares[rows, column, 0] = weights.indices, weights.data / diagonal[rows]
+    least = float((areas / diagonal).min())
+    most = 2.0 - least
+    count = math.ceil(0.5 * math.sqrt(most / least) * math.log(2.0 / _TOLERANCE))
+    middle, half = 0.5 * (most + least), 0.5 * (most - least)
+    around, share, inverse = (
+        to_device(torch.from_numpy(array), device) for array in (neighbours, shares, 1.0 / diagonal[:, None])
+    )
+
+    def solve(values: Tensor) -> Tensor:
+        left = inverse * values
+        move, solution = left / middle, torch.zeros_like(left)
+        if half <= 1e-12 * middle:
+            return move
+        ratio = half / middle
+        for _ in range(min(count, _MOST_SWEEPS)):
+            solution = solution + move
+            left = left - move + (share * move[around]).sum(1)
+            following = 1.0 / (2.0 * middle / half - ratio)
+            move = following * ratio * move + (2.0 * following / half) * left
+            ratio = following
+        return solution
+
+    return solve
