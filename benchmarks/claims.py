@@ -1,13 +1,13 @@
 """Rollouts that decide the paper's two claims, by the rules of docs/science/claims.md, and the tables of them.
 
-    python benchmarks/claims.py run ROWS.jsonl --weights FOLDER [--recordings FOLDER] [--share 1/4] [--levels 2730]
+    python benchmarks/claims.py ROWS.jsonl --weights FOLDER [--recordings FOLDER] [--share 1/4] [--levels 2730]
         [--garments tshirt,dress] [--motions walk] [--seeds 0] [--arms drawn] [--scalings none,per-vertex]
-    python benchmarks/claims.py table ROWS.jsonl [MORE.jsonl ..] [--out PAGE.md]
+    python benchmarks/claim_tables.py ROWS.jsonl [MORE.jsonl ..]
 
 FOLDER holds the arms as `tools/comparison.py` leaves them: `literal` and `literal-without-control`, and with -seed1 and
 -seed2. `--arms FILE.safetensors` takes other weights. Each rollout is one line of the file; those that stand there are
-passed over, so that the same command goes on where it was ended. Shares go to several processes, each with its own file.
-The solver's rollouts, from which distances are taken, are kept beside the file.
+passed over, so that the same command goes on where it was ended. Shares go to several processes, each with its own
+file. The solver's rollouts, from which distances are taken, are kept beside the file.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from pb4u.errors import Pb4uError
 from pb4u.measures.divergence import skinned_centres
 from pb4u.measures.excess import distance_to
 from pb4u.measures.metrics import measure
+from pb4u.motion.library import motion_names
 from pb4u.run import Run, WornGarment
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.models import load_checkpoint_of, simulator_of
@@ -98,7 +99,7 @@ def weights_of(rollout: Rollout, folder: Path | None) -> Path:
 
 def run_of(rollout: Rollout, options: argparse.Namespace) -> Run:
     """The run of a line: network only, contact off."""
-    built_in = rollout.motion in ("walk", "run", "jump", "arms", "twist", "squat", "turn", "dance")
+    built_in = rollout.motion in motion_names()
     motion = rollout.motion if built_in else next(options.recordings.rglob(f"{rollout.motion}.amc"))
     model: dict[str, Any] = {"model": rollout.arm, "refine": 5 if rollout.arm == "quick-solver" else 0}
     if rollout.arm not in CONTROLS:
@@ -111,8 +112,8 @@ def run_of(rollout: Rollout, options: argparse.Namespace) -> Run:
             "propagation_steps": rollout.steps or None,
         }
     return Run(
-        WornGarment(rollout.garment, triangles=rollout.triangles), motion=motion, lead_in=LEAD_IN, frames=options.frames,
-        seed=SEED, contact=False, self_contact=False, **model,
+        WornGarment(rollout.garment, triangles=rollout.triangles), motion=motion, lead_in=LEAD_IN,
+        frames=options.frames, seed=SEED, contact=False, self_contact=False, **model,
     )  # fmt: skip
 
 
@@ -183,9 +184,7 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 def arguments() -> argparse.Namespace:
     """What the command line asks for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    verbs = parser.add_subparsers(dest="verb", required=True)
-    made = verbs.add_parser("run")
+    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("rows", type=Path)
     made.add_argument("--weights", type=Path)
     made.add_argument("--recordings", type=Path)
@@ -199,22 +198,16 @@ def arguments() -> argparse.Namespace:
         ("steps", (0, 5), _numbers), ("controls", CONTROLS, _names),
     ):  # fmt: skip
         made.add_argument(f"--{name}", type=kind, default=default)
-    table = verbs.add_parser("table")
-    table.add_argument("rows", type=Path, nargs="+")
-    table.add_argument("--out", type=Path)
-    return parser.parse_args()
+    options = made.parse_args()
+    if options.weights is None and set(options.arms) & set(ARMS):
+        made.error("the arms are found in a folder: add --weights FOLDER")
+    if options.recordings is None:
+        options.motions = tuple(name for name in options.motions if name in motion_names())
+    return options
 
 
 def main() -> None:
-    options = arguments()
-    if options.verb == "run":
-        run(options)
-        return
-    from claim_tables import page
-
-    lines = (line for path in options.rows for line in path.read_text().splitlines())
-    written = page([json.loads(line) for line in lines])
-    print(written) if options.out is None else options.out.write_text(written)
+    run(arguments())
 
 
 if __name__ == "__main__":

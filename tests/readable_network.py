@@ -85,4 +85,4 @@ def readable_accelerations(model: AccelerationModel, graph: Graph, prepared: Pre
     edges = {name: normalise(of_kind[s.kind], s.features) for name, s in graph.edges.items()}
     output = readable_network(model.network, graph.with_features(nodes, edges), prepared.steps)
     output = output * model.acceleration_normaliser.spread + model.acceleration_normaliser.mean
-    return output if prepared.scale is None else output * prepared.scale
+    return output if prepared.scale is None else output * prepared.scale.wrinkles

@@ -202,5 +202,3 @@ def test_a_training_takes_the_rule_by_its_name_and_its_checkpoint_says_so() -> N
 def test_what_cannot_be_followed_is_refused(make: Callable[[], object], says: str) -> None:
     with pytest.raises(InputError, match=says):
         make()
-
-

@@ -49,7 +49,8 @@ class SurfaceLowPass:
         Args:
             values: (vertices, columns) of any unit.
         """
-        smooth: Tensor = _Solution.apply(values.to(torch.float64), self._areas, self._solve)
+        wide = values.to(torch.float64)
+        smooth: Tensor = _Solution.apply(wide, self._areas, self._solve)  # type: ignore[no-untyped-call]
         return smooth.to(values)
 
 
@@ -62,7 +63,7 @@ class _Solution(torch.autograd.Function):
         return solve(areas * values)
 
     @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:  # type: ignore[override]
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
         return ctx.areas * ctx.solve(gradient), None, None
 
 

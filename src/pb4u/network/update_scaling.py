@@ -1,4 +1,4 @@
-"""Factors on predicted accelerations (paper, "Resolution-Aware Update Scaling"), and the split of them by wavelength."""
+"""Factors on predicted accelerations (paper, "Resolution-Aware Update Scaling"), and their split by wavelength."""
 
 from __future__ import annotations
 
@@ -66,6 +66,14 @@ class PerVertexScaling:
         """
         return garments.incident_length[:, None]
 
+    def on_bulk(self, lengths: Tensor) -> Tensor:
+        """Factors (vertices, 1), dimensionless, on what is long, where edges have the given lengths.
+
+        Args:
+            lengths: (vertices, 1) [m].
+        """
+        return lengths / self.reference_length
+
     def low_pass(self, garments: PackedGarments) -> SurfaceLowPass | None:
         """What tells bulk from wrinkles, or None where both have one factor.
 
@@ -100,6 +108,9 @@ class NoScaling:
     def lengths(self, garments: GarmentGraph) -> Tensor | None:
         return None
 
+    def on_bulk(self, lengths: Tensor) -> Tensor:
+        return torch.ones_like(lengths)
+
     def low_pass(self, garments: PackedGarments) -> SurfaceLowPass | None:
         return None
 
@@ -130,6 +141,9 @@ class BandSplitScaling(PerVertexScaling):
     def factors(self, garments: GarmentGraph) -> Tensor | None:
         factors = super().factors(garments)
         return None if factors is None else factors.clamp_max(1.0)
+
+    def on_bulk(self, lengths: Tensor) -> Tensor:
+        return torch.ones_like(lengths)
 
     def low_pass(self, garments: PackedGarments) -> SurfaceLowPass | None:
         for garment, length in zip(garments.garments, garments.mean_edge_lengths, strict=True):
@@ -211,10 +225,7 @@ class SwitchedScaling:
         """
         own = torch.tensor([self._trained_length(garments, k) for k in range(garments.garment_count)])
         lengths = own.to(graph.incident_length)[graph.node_owner][:, None]
-        learnt = torch.ones_like(lengths)
-        if type(self.trained) in (PerVertexScaling, MeanScaling):
-            learnt = lengths / self.trained.reference_length  # type: ignore[union-attr]
-        present = self.used.lengths(graph)
+        learnt, present = self.trained.on_bulk(lengths), self.used.lengths(graph)
         factors = learnt if present is None else learnt * (present / lengths).clamp_max(1.0)
         low_pass = self.used.low_pass(garments)
         return UpdateScale(factors, None if low_pass is None else learnt, low_pass)
@@ -235,7 +246,7 @@ def with_scaling(scaling: Scaling, name: str) -> Scaling:
         scaling: the other rule.
         name: per-vertex, mean, none or band-split.
     """
-    kind = SCALINGS[name]
-    if not isinstance(scaling, PerVertexScaling) or kind is NoScaling:
-        return scaling if type(scaling) is kind else kind()
-    return replace(kind(), reference_length=scaling.reference_length)
+    made = SCALINGS[name]()
+    if isinstance(made, PerVertexScaling) and isinstance(scaling, PerVertexScaling):
+        return scaling if type(scaling) is type(made) else replace(made, reference_length=scaling.reference_length)
+    return made

@@ -67,7 +67,8 @@ def _network_line(name: str) -> str:
         return "small network that `pb4u evaluate` compares methods with"
     role = "the default network"
     if name != default_model():
-        role = "the default network with --refine 0" if name == default_model(0) else "a network"
+        other = "the paper's own network" if name.startswith("literal") else "a network"
+        role = "the default network with --refine 0" if name == default_model(0) else other
     return f"{role}; `pb4u info --model {name}` says what it is"
 
 
@@ -219,9 +220,9 @@ def unknown_model(name: str) -> InputError:
     Args:
         name: name that was given.
     """
-    trainable = TRAINABLE.get(name.lower().replace("-", "_"))
-    known = model_descriptions()
-    if trainable is None:
+    meant, known = name.lower().replace("-", "_"), model_descriptions()
+    trainable = TRAINABLE.get(meant)
+    if trainable is None or meant in known:
         return unknown_name("model", name, known)
     networks = ", ".join(each for each in known if each not in PARTS and not each.startswith("comparison-"))
     return InputError(f"There is no model {name!r} with weights: {trainable}; the weights shipped are {networks}.")
