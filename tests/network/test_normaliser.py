@@ -99,5 +99,5 @@ def test_normalised_accelerations_come_back_in_metres_per_step_squared():
     model.acceleration_normaliser.mean.copy_(torch.tensor([0.0, 1.0, 0.0]))
     model.acceleration_normaliser.spread.fill_(2.0)
     raw = model.network(model.normalised(graph), prepared.steps)
-    expected = prepared.scale * (2.0 * raw + torch.tensor([0.0, 1.0, 0.0]))
+    expected = prepared.scale.wrinkles * (2.0 * raw + torch.tensor([0.0, 1.0, 0.0]))
     torch.testing.assert_close(model(graph, prepared), expected)

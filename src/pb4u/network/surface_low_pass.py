@@ -25,7 +25,8 @@ class SurfaceLowPass:
 
     On a plane it multiplies a wave of length w by 1 / (1 + (2 pi l / w)^2); what is constant over a piece it keeps. At
     an edge whose cotangents sum to less than nothing the stiffness is 0, so that no value leaves the range of those
-    given. Pinned vertices have no part in it: what a network predicts there is not trained, and is not used.
+    given. At pinned vertices the smooth part is 0, whatever is given: what a network predicts there is written over, so
+    that a correction beside them ends at them and is never long.
 
     On a processor the matrix is factorised once; elsewhere a fixed number of Chebyshev sweeps solves for it, without
     waiting for the device.
@@ -38,10 +39,10 @@ class SurfaceLowPass:
 
     def __init__(self, garments: PackedGarments, length: float, sweeps: bool | None = None) -> None:
         on_processor = garments.device.type == "cpu"
-        areas, stiffness = _areas_and_stiffness(garments)
+        areas, diagonal, weights = _system(garments, length)
         self._areas = to_device(torch.from_numpy(areas)[:, None], garments.device)
         makes = _by_sweeps if (not on_processor if sweeps is None else sweeps) else _by_factors
-        self._solve = makes(areas, length**2 * stiffness, garments.device)
+        self._solve = makes(diagonal, weights, garments.device)
 
     def __call__(self, values: Tensor) -> Tensor:
         """Smooth part (vertices, columns) of `values`, in their unit and precision; differentiable.
@@ -67,31 +68,34 @@ class _Solution(torch.autograd.Function):
         return ctx.areas * ctx.solve(gradient), None, None
 
 
-def _areas_and_stiffness(garments: PackedGarments) -> tuple[np.ndarray, Any]:
-    """Areas (vertices,) [m^2], 1 where no face is, and the symmetric weights of edges (vertices, vertices), sparse."""
+def _system(garments: PackedGarments, length: float) -> tuple[np.ndarray, np.ndarray, Any]:
+    """Areas (vertices,) [m^2] that values count with, and the matrix: its diagonal and, sparse, minus what is beside."""
     from scipy.sparse import coo_array
 
     second, third = garments.inverse_rest_shape.double().unbind(1)
     slopes = torch.stack([-second - third, second, third], dim=1)
-    weights = -garments.face_areas.double()[:, None] * (slopes * slopes.roll(-1, 1)).sum(2)
+    cotangents = -garments.face_areas.double()[:, None] * (slopes * slopes.roll(-1, 1)).sum(2)
     ends = torch.stack([garments.faces, garments.faces.roll(-1, 1)]).reshape(2, -1).cpu().numpy()
     count = garments.vertex_count
-    halves = coo_array((weights.reshape(-1).cpu().numpy(), tuple(ends)), (count, count)).tocsr()
-    summed = (halves + halves.T).tocoo()
-    pinned = garments.pinned.cpu().numpy()
-    joined = ~(pinned[summed.row] | pinned[summed.col])
-    kept = np.where(joined, np.maximum(summed.data, 0.0), 0.0)
-    areas = garments.vertex_areas.double().cpu().numpy()
-    return np.where(areas > 0.0, areas, 1.0), coo_array((kept, (summed.row, summed.col)), (count, count)).tocsr()
+    halves = coo_array((cotangents.reshape(-1).cpu().numpy(), tuple(ends)), (count, count)).tocsr()
+    joined = (halves + halves.T).tocoo()
+    stiffness = length**2 * np.maximum(joined.data, 0.0)
+    areas, pinned = garments.vertex_areas.double().cpu().numpy(), garments.pinned.cpu().numpy()
+    areas = np.where(areas > 0.0, areas, 1.0)  # where no face is
+    diagonal = areas + np.bincount(joined.row, stiffness, count)
+    free = ~(pinned[joined.row] | pinned[joined.col])
+    weights = coo_array((stiffness[free], (joined.row[free], joined.col[free])), (count, count)).tocsr()
+    return np.where(pinned, 0.0, areas), diagonal, weights
 
 
-def _by_factors(areas: np.ndarray, weights: Any, device: torch.device) -> Callable[[Tensor], Tensor]:
+def _by_factors(diagonal: np.ndarray, weights: Any, device: torch.device) -> Callable[[Tensor], Tensor]:
     from scipy.sparse import diags_array
     from scipy.sparse.linalg import splu
 
-    matrix = (diags_array(areas + weights.sum(1)) - weights).tocsc()
     # Symmetric and positive definite: no pivots are looked for, and the order keeps the factors sparse.
-    factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    options = {"SymmetricMode": True}
+    matrix = (diags_array(diagonal) - weights).tocsc()
+    factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
     def solve(values: Tensor) -> Tensor:
         return torch.from_numpy(factors.solve(values.detach().numpy()))
@@ -99,17 +103,17 @@ def _by_factors(areas: np.ndarray, weights: Any, device: torch.device) -> Callab
     return solve
 
 
-def _by_sweeps(areas: np.ndarray, weights: Any, device: torch.device) -> Callable[[Tensor], Tensor]:
+def _by_sweeps(diagonal: np.ndarray, weights: Any, device: torch.device) -> Callable[[Tensor], Tensor]:
     """Chebyshev sweeps on D^-1 A, D the diagonal of A: by Gershgorin's circles its spectrum lies in [least, most]."""
-    rows = np.repeat(np.arange(len(areas)), np.diff(weights.indptr))
-    diagonal = areas + weights.sum(1)
+    count = len(diagonal)
+    rows = np.repeat(np.arange(count), np.diff(weights.indptr))
     width = max(int(np.diff(weights.indptr).max(initial=0)), 1)
     column = np.arange(len(rows)) - weights.indptr[rows]
-    neighbours, shares = np.zeros((len(areas), width), dtype=np.int64), np.zeros((len(areas), width, 1))
+    neighbours, shares = np.zeros((count, width), dtype=np.int64), np.zeros((count, width, 1))
     neighbours[rows, column], shares[rows, column, 0] = weights.indices, weights.data / diagonal[rows]
-    least = float((areas / diagonal).min())
+    least = float(1.0 - shares.sum(1).max())
     most = 2.0 - least
-    count = math.ceil(0.5 * math.sqrt(most / least) * math.log(2.0 / _TOLERANCE))
+    sweeps = math.ceil(0.5 * math.sqrt(most / least) * math.log(2.0 / _TOLERANCE))
     middle, half = 0.5 * (most + least), 0.5 * (most - least)
     around, share, inverse = (
         to_device(torch.from_numpy(array), device) for array in (neighbours, shares, 1.0 / diagonal[:, None])
@@ -121,7 +125,7 @@ def _by_sweeps(areas: np.ndarray, weights: Any, device: torch.device) -> Callabl
         if half <= 1e-12 * middle:
             return move
         ratio = half / middle
-        for _ in range(min(count, _MOST_SWEEPS)):
+        for _ in range(min(sweeps, _MOST_SWEEPS)):
             solution = solution + move
             left = left - move + (share * move[around]).sum(1)
             following = 1.0 / (2.0 * middle / half - ratio)
