@@ -59,6 +59,9 @@ def test_what_a_scene_cannot_be_is_refused_in_one_sentence(given: dict[str, Any]
         ({"triangles": "few"}, "triangles must be a whole number"),
         ({"pins": 4}, "list of vertex indices, not 4"),
         ({"pins": [1, "b"]}, "list of vertex indices"),
+        ({"grain": [0, 1]}, "direction of three numbers, such as"),
+        ({"grain": [0, 0, 0]}, "direction of three numbers, such as"),
+        ({"grain": "up"}, "three numbers, such as"),
     ],
 )
 def test_what_a_garment_cannot_be_is_refused(given: dict[str, Any], says: str) -> None:

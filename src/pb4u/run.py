@@ -69,6 +69,8 @@ class WornGarment:
             and colours of its own file (OBJ with MTL, glTF).
         tacks: Pairs A:B of vertices that are sewn together, counted from 0 in the author's mesh.
         tucked: Whether it is tucked into the trousers or the skirt, wherever it stands in the order.
+        grain: Direction X,Y,Z of the warp where it is worn at rest, such as 0,1,0, on to each face. Default: that of
+            its panels, or of UVs in metres; else its cloth is the same in all directions.
 
     Raises:
         InputError: a value of a wrong type or out of range.
@@ -84,6 +86,7 @@ class WornGarment:
     texture: Annotated[str | Path | None, Flag(GARMENT, "[NAME=]FILE", is_file=True)] = None
     tacks: Annotated[Sequence[tuple[int, int]], Flag(GARMENT, "[NAME=]A:B")] = ()
     tucked: Annotated[bool, Flag(GARMENT, form="Tucked in")] = False
+    grain: Annotated[tuple[float, float, float] | None, Flag(GARMENT, "[NAME=]X,Y,Z")] = None
 
     def __post_init__(self) -> None:
         if not (self.pins is None or isinstance(self.pins, str | Path)):
@@ -94,6 +97,8 @@ class WornGarment:
         if not are_pairs(self.tacks):
             raise InputError(f"Tacks are pairs of vertices, such as [[10, 210]], not {self.tacks!r}.")
         object.__setattr__(self, "tacks", tuple((int(a), int(b)) for a, b in self.tacks))
+        if self.grain is not None:
+            object.__setattr__(self, "grain", _checked_direction(self.grain))
         _check(self)
 
     @property
@@ -159,7 +164,7 @@ class Run:
         as_recorded: Play an SMPL recording (.pkl, AMASS .npz) as it is, on its own shape, place and height;
             --arms-away 20 is the released code's separate_arms.
         omitted: Body vertices left out of contact: smpl_aux.pkl, or a list. Default: the body's own.
-        rest_shape: Rest shape of built-in garments: moulded on the body.
+        rest_shape: Rest shape of built-in garments: flat panels with a grain, or moulded, as they sit on the body.
         friction_law: Friction of cloth against bodies and cloth: the paper's.
         time_integration: Rule of integration in time.
         air: Whether air drags cloth, which it does not yet.
@@ -200,7 +205,7 @@ class Run:
     ] = "auto"
     as_recorded: Annotated[bool, Flag(RESEARCH, names=("--as-recorded/--retargeted",))] = False
     omitted: Annotated[str | Path | None, Flag(RESEARCH, "FILE", is_file=True)] = None
-    rest_shape: Annotated[Literal["moulded"], Flag(SCENE, "NAME")] = "moulded"
+    rest_shape: Annotated[Literal["flat", "moulded"], Flag(SCENE, "NAME")] = "moulded"
     friction_law: Annotated[Literal["paper"], _model("NAME", applies_to=STEPS)] = "paper"
     time_integration: Annotated[Literal["implicit-euler"], _model("NAME", applies_to=STEPS)] = "implicit-euler"
     air: Annotated[bool, _model(applies_to=STEPS)] = False
@@ -430,6 +435,17 @@ def _checked_crop(crop: Any) -> tuple[int, int]:
     return crop[0], crop[1]
 
 
+def _is_direction(value: Any) -> bool:
+    return isinstance(value, list | tuple) and len(value) == 3 and all(isinstance(each, Real) for each in value)
+
+
+def _checked_direction(grain: Any) -> tuple[float, float, float]:
+    if not _is_direction(grain) or not 0.0 < math.hypot(*grain) < math.inf:
+        raise InputError(f"The grain is a direction of three numbers, such as [0, 1, 0], not {grain!r}.")
+    x, y, z = map(float, grain)
+    return x, y, z
+
+
 def _is_same(garment: object, other: object) -> bool:
     if isinstance(garment, str | Path) and isinstance(other, str | Path):
         return Path(garment).resolve() == Path(other).resolve()
@@ -437,9 +453,17 @@ def _is_same(garment: object, other: object) -> bool:
 
 
 def _one_each(name: str, value: Any, count: int) -> Sequence[Any]:
-    """The value for each of `count` garments; a list of whole numbers is one choice of pins, one of pairs of tacks."""
+    """The value for each of `count` garments.
+
+    A list of whole numbers is one choice of pins, one of pairs of tacks, one of three numbers a grain.
+    """
     is_indices = name == "pins" and isinstance(value, list | tuple) and all(map(is_whole, value))
-    if not isinstance(value, list | tuple) or is_indices or (name == "tacks" and are_pairs(value)):
+    if (
+        not isinstance(value, list | tuple)
+        or is_indices
+        or (name == "tacks" and are_pairs(value))
+        or (name == "grain" and _is_direction(value))
+    ):
         return [value] * count
     if len(value) != count:
         raise InputError(f"{name} has {len(value)} values for {count} garments; give one for all, or one each.")

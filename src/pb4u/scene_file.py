@@ -1,6 +1,7 @@
 """Scene files: a `Run` as TOML, with `[scene]`, one `[[garments]]` for each garment, `[run]` and `[environment]`.
 
-The entries are the fields of `Run` and of `WornGarment`; what is left out has its default.
+The entries are the fields of `Run` and of `WornGarment`; what is left out has its default, or means what it did
+`BEFORE`.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ from pb4u.run import Run, WornGarment, entries, located, names_file
 
 FORMAT_VERSION = 1
 """Version of the scene files that are read and written."""
+
+BEFORE: Mapping[str, Any] = {"rest_shape": "moulded"}
+"""What files mean that leave these entries out: what there was before there was a choice, whatever the default is."""
 
 _NO_GROUND = "none"
 
@@ -50,7 +54,7 @@ def read_scene(path: Path) -> Run:
             raise InputError("Each garment is a section of its own, written [[garments]].")
         worn = tuple(WornGarment(**_section("[[garments]]", each, "garments", path.parent)) for each in listed)
         scene, run = (_section(f"[{name}]", tables.get(name, {}), name, path.parent) for name in ("scene", "run"))
-        return Run(worn, **scene, **run, environment=_environment(tables.get("environment", {})))
+        return Run(worn, **{**BEFORE, **scene, **run}, environment=_environment(tables.get("environment", {})))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 

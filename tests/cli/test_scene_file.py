@@ -173,7 +173,14 @@ def test_what_cannot_be_meant_is_refused(
 
 
 @pytest.mark.parametrize(
-    "flags", [("--triangles", "many"), ("--triangles", "tshirt=2.5"), ("--body-shape", "height=1,height=2")]
+    "flags",
+    [
+        ("--triangles", "many"),
+        ("--triangles", "tshirt=2.5"),
+        ("--body-shape", "height=1,height=2"),
+        ("--grain", "0,1"),
+        ("--grain", "tshirt=up"),
+    ],
 )
 def test_values_that_are_none_end_with_2(pb4u: Callable, flags: tuple[str, str]) -> None:
     assert pb4u("simulate", *flags).code == 2
@@ -187,6 +194,27 @@ def test_shapes_given_apart_add_up_and_the_same_key_twice_is_refused(pb4u: Calla
         ended = pb4u(*verb, "--body-shape", "height=0.7", "--body-shape", "height=0.4")
         assert ended.code == 2
         assert "gives height twice" in ended.err
+
+
+def test_a_file_without_a_rest_shape_means_moulded_and_a_written_one_always_says_it(saved: Saved) -> None:
+    assert f'rest_shape = "{Run.rest_shape}"' in saved_text(saved)
+    Path("short.toml").write_text('[[garments]]\ngarment = "skirt"\n')
+    assert Run.open("short.toml").rest_shape == "moulded"
+    assert saved("short.toml").rest_shape == "moulded"
+    assert saved("short.toml", "--rest-shape", "flat").rest_shape == "flat"
+
+
+def saved_text(saved: Saved, *flags: object) -> str:
+    """The scene file that a call would write."""
+    saved(*flags)
+    return Path("saved.toml").read_text()
+
+
+def test_grain_is_given_by_flag_file_and_in_python(saved: Saved) -> None:
+    run = saved("--garment", "skirt", "--garment", "cardigan", "--grain", "skirt=1,0,0.5")
+    assert [each.grain for each in run.garments] == [(1.0, 0.0, 0.5), None]
+    assert [each.grain for each in run.with_entries({"grain": [0, 1, 0]}).garments] == [(0.0, 1.0, 0.0)] * 2
+    assert [each.grain for each in run.with_entries({"grain": [None, [0, 1, 0]]}).garments][1] == (0.0, 1.0, 0.0)
 
 
 def test_every_entry_has_a_flag(saved: Saved) -> None:

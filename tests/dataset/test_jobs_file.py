@@ -105,3 +105,9 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         read_jobs(tmp_path / "jobs.toml")
     with pytest.raises(InputError, match=r"\[\[clips\]\]"):
         read_jobs(tmp_path / "jobs.csv")
+
+
+def test_a_file_without_a_rest_shape_means_moulded(tmp_path: Path) -> None:
+    one, other = jobs(tmp_path, '[[clips]]\ngarment = "skirt"\n[[clips]]\nrest_shape = "flat"\ngrain = [0, 1, 0]\n')
+    assert (one.rest_shape, other.rest_shape) == ("moulded", "flat")
+    assert other.garments[0].grain == (0.0, 1.0, 0.0)

@@ -13,6 +13,7 @@ from tests.physics.shapes import EVALUATION, packed, potential_of, sheet, tube
 from tests.readable_stiffness import readable_stiffness
 
 from pb4u.garment.garment import Garment
+from pb4u.garment.grain import grained
 from pb4u.garment.material import DirectionalBending, Material
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.step_potential import StepPotential
@@ -124,8 +125,8 @@ def test_equal_constants_are_the_isotropic_cloth() -> None:
         torch.testing.assert_close(values, expected[name], rtol=1e-12, atol=1e-18)
 
 
-def test_a_cloth_with_a_grain_has_its_warp_upwards_where_it_was_not_cut_flat() -> None:
-    garment = tube(12, 4, 0.2, 0.4, TWILL)
+def test_a_tube_is_as_stiff_upwards_as_the_warp_that_is_laid_so() -> None:
+    garment = grained(tube(12, 4, 0.2, 0.4, TWILL), (0.0, 1.0, 0.0))
     garments = packed(garment)
     x = garments.rest_positions.clone()
     x[:, 1] *= 1.02

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.library import build_garment
 from pb4u.garment.limbs_inside import limbs_outside
-from pb4u.garment.material import MATERIALS
+from pb4u.garment.material import MATERIALS, DirectionalBending, Material
 from pb4u.garment.source_map import remeshed
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.run import WornGarment
@@ -147,3 +148,19 @@ def test_the_kind_is_told_by_the_name_alone(leggings: Garment) -> None:
     assert kinds[1] == kinds[2]
     assert kinds[3] == kinds[4] == kinds[5]
     assert len({*kinds, kind_of(leggings)}) == 5
+
+
+def test_woven_cloth_without_grain_is_the_same_in_all_directions_and_a_note_says_so(woman) -> None:
+    cloth = Material(0.1, 900.0, 300.0, 60.0, 20.0, DirectionalBending(2e-5, 1e-5, 8e-6))
+    with pytest.warns(InputNote, match="has no grain, so its cloth is the same in all directions; --grain 0,1,0"):
+        moulded = load_garment(WornGarment("tanktop", material=cloth, triangles=400), woman, "moulded")
+    membrane = moulded.of_faces("membrane")
+    assert membrane[:, 0] == pytest.approx(membrane[:, 1], rel=1e-12)
+    assert len(np.unique(moulded.hinge_bending)) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", InputNote)
+        flat = load_garment(WornGarment("tanktop", material=cloth, triangles=400), woman, "flat")
+        given = load_garment(WornGarment("tanktop", cloth, triangles=400, grain=(0, 1, 0)), woman, "moulded")
+    for garment in (flat, given):
+        assert set(garment.of_faces("membrane")[:, 1]) == {900.0}
+        assert len(np.unique(garment.hinge_bending)) > 100

@@ -180,9 +180,9 @@ def write(
 
 
 def _write_garment(name: str, figure: ShapedBody, triangles: int | None, out: Path) -> dict[str, Any]:
-    from pb4u.garment.library import build_garment
+    from pb4u.garment.library import LEVELS, build_garment
 
-    garment = build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
+    garment = build_garment(name, figure, LEVELS["base"] if triangles is None else triangles)
     return _write_mesh(figure, garment.mesh, out)
 
 

@@ -61,6 +61,20 @@ class GarmentValue(NamedTuple):
             raise typer.BadParameter(f"it takes two vertices A:B or NAME=A:B; {text!r} is neither.")
         return cls(name, (int(pair[0]), int(pair[1])))
 
+    @classmethod
+    def parse_direction(cls, text: str) -> GarmentValue:
+        """Value from `X,Y,Z` or `NAME=X,Y,Z`.
+
+        Raises:
+            BadParameter: these are not three numbers.
+        """
+        name, value = cls.parse(text)
+        try:
+            x, y, z = map(float, value.split(","))
+        except ValueError:
+            raise typer.BadParameter(f"it takes a direction X,Y,Z or NAME=X,Y,Z; {text!r} is neither.") from None
+        return cls(name, (x, y, z))
+
 
 TuckFlag: TypeAlias = Annotated[
     list[str] | None,
@@ -111,7 +125,7 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
     named = given.get("garment")
     worn = [WornGarment(name).name for name in named] if named else [each.name for each in described_run.garments]
     of_parts = _of_parts(given, worn)
-    for name in ("material", "pins", "triangles", "texture"):
+    for name in ("material", "pins", "triangles", "texture", "grain"):
         if name in given:
             given[name] = _one_each(name, given[name], worn)
     for name, number, part, value in of_parts:
@@ -161,7 +175,8 @@ def _garment_flag(entry: Entry) -> tuple[str, Any]:
         return "tack", Annotated[list[GarmentValue] | None, option(entry, " Repeatable.", GarmentValue.parse_pair)]
     if entry.name == "garment":
         return entry.name, Annotated[list[str] | None, option(entry, " Repeatable, inner first.")]
-    parser = GarmentValue.parse_count if entry.kind == "whole" else GarmentValue.parse
+    parsers = {"triangles": GarmentValue.parse_count, "grain": GarmentValue.parse_direction}
+    parser = parsers.get(entry.name, GarmentValue.parse)
     more = " Once for all garments, once a garment in their order, or as NAME=VALUE."
     return entry.name, Annotated[list[GarmentValue] | None, option(entry, more, parser)]
 

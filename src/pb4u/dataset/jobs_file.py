@@ -17,7 +17,7 @@ from pb4u.errors import InputError
 from pb4u.io.toml_file import read_tables
 from pb4u.options import is_whole
 from pb4u.run import ENTRIES, Run
-from pb4u.scene_file import require_entries, require_format
+from pb4u.scene_file import BEFORE, require_entries, require_format
 
 MOST_CLIPS = 100_000
 """Clips of one jobs file unless more are allowed: ten times the usual dataset, and what a slip of the pen exceeds."""
@@ -67,7 +67,7 @@ def _run(number: int, entries: Mapping[str, Any], folder: Path, scenes: dict[Pat
     """The run of one clip; `scenes` holds the scene files that were read."""
     changed = {name: value for name, value in entries.items() if name != _SCENE}
     try:
-        described = Run()
+        described = Run().with_entries(BEFORE)
         if _SCENE in entries:
             if not isinstance(entries[_SCENE], str):
                 raise InputError(f"A scene is the name of a scene file, not {entries[_SCENE]!r}.")

@@ -94,6 +94,7 @@ class Garment:
         rest_uv: (faces, 3, 2) float64 corners of each face lying flat [m], of cloth that was cut flat and sewn. These
             triangles are then the rest shape, and `vertices` only says where they are worn. None where `vertices` is
             the rest shape.
+        grainless: whether `rest_uv` is turned anyhow; else its second axis is the warp's.
         appearances: colours and images of the faces, or None.
         panels: names of the pattern's panels, where it was sewn of one: each is an island of `uv_faces`, in the order
             of their first UV points.
@@ -116,6 +117,7 @@ class Garment:
     coarse_edges: tuple[np.ndarray, ...] = ()
     skinning: GarmentSkinning | None = None
     rest_uv: np.ndarray | None = None
+    grainless: bool = False
     appearances: Appearances | None = None
     panels: tuple[str, ...] = ()
     materials: tuple[Material, ...] = ()
@@ -174,23 +176,13 @@ class Garment:
 
     @cached_property
     def rest_shape(self) -> np.ndarray:
-        """Corners (faces, 3, 2) [m] of the faces at rest, flat: in the panels' axes where it was cut flat.
+        """Corners (faces, 3, 2) [m] of the faces at rest, flat, their second axis along the warp where it is known."""
+        return laid_flat(self.vertices[self.faces]) if self.rest_uv is None else self.rest_uv
 
-        Elsewhere a cloth with a grain is cut so that its warp, the second axis, runs upwards as worn.
-        """
-        if self.rest_uv is not None:
-            return self.rest_uv
-        corners = self.vertices[self.faces]
-        flat = laid_flat(corners)
-        if not any(material.has_grain for material in self.materials or (self.material,)):
-            return flat
-        # Faces that lie level have their warp backwards.
-        along, across = ((corners[:, k] - corners[:, 0]) @ np.array([0.0, 1.0, -1e-6]) for k in (1, 2))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            x = along / flat[:, 1, 0]
-            y = (across - flat[:, 2, 0] * x) / flat[:, 2, 1]
-            turns = np.stack([y, x, -x, y], axis=1).reshape(-1, 2, 2) / np.hypot(x, y)[:, None, None]
-        return flat @ turns
+    @property
+    def has_grain(self) -> bool:
+        """Whether it is known which way its warp runs; where it is not, its cloth is alike in all directions."""
+        return self.rest_uv is not None and not self.grainless
 
     @cached_property
     def face_areas(self) -> np.ndarray:
@@ -223,9 +215,14 @@ class Garment:
         Args:
             name: attribute of `Material`.
         """
-        materials = self.materials or (self.material,)
         places = np.zeros(len(self.faces), dtype=np.int64) if self.face_material is None else self.face_material
-        return np.array([getattr(material, name) for material in materials], dtype=np.float64)[places]
+        return np.array([getattr(cloth, name) for cloth in self._cloths], dtype=np.float64)[places]
+
+    @cached_property
+    def _cloths(self) -> tuple[Material, ...]:
+        """Its materials as they act: alike in all directions where there is no grain."""
+        own = self.materials or (self.material,)
+        return own if self.has_grain else tuple(material.without_grain for material in own)
 
     def at_vertices(self, values: np.ndarray) -> np.ndarray:
         """Sums (vertices,) of a third of the values of the incident faces, in their unit.
@@ -246,17 +243,16 @@ class Garment:
 
     def _side_bending(self, hinge_faces: np.ndarray) -> np.ndarray:
         """Bending coefficients (hinges, 2) [J] of both sides, each by the edge's direction in its own panel."""
-        materials = self.materials or (self.material,)
-        if not any(isinstance(material.bending_stiffness, DirectionalBending) for material in materials):
+        if not any(isinstance(cloth.bending_stiffness, DirectionalBending) for cloth in self._cloths):
             return self.of_faces("bending")[hinge_faces]
         ends = self.topology.hinges[:, None, :2, None] == self.faces[hinge_faces][:, :, None]
         corners = np.take_along_axis(self.rest_shape[hinge_faces], ends.argmax(axis=3)[..., None], axis=2)
         edges = corners[:, :, 1] - corners[:, :, 0]
         along_weft = edges[..., 0] ** 2 / (edges**2).sum(axis=2)
         if self.face_material is None:
-            return self.material.hinge_coefficients(along_weft)
+            return self._cloths[0].hinge_coefficients(along_weft)
         made_of = self.face_material[hinge_faces]
-        return np.choose(made_of, [material.hinge_coefficients(along_weft) for material in materials])
+        return np.choose(made_of, [cloth.hinge_coefficients(along_weft) for cloth in self._cloths])
 
     @cached_property
     def vertex_masses(self) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -31,6 +32,9 @@ SEWN: dict[str, str] = dict.fromkeys((".json", ".toml", ".npz"), "pb4u.pattern.f
 
 It is named here and not imported: sewing needs the solver, which is built on garments."""
 
+RestShape: TypeAlias = Literal["flat", "moulded"]
+"""What a built-in garment is at rest: flat panels, or the shape that it has on the body."""
+
 FEWEST_TRIANGLES, MOST_TRIANGLES = 200, 200_000
 
 
@@ -39,7 +43,9 @@ def garment_names() -> tuple[str, ...]:
     return tuple(CUTS)
 
 
-def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) -> Garment:
+def build_garment(
+    name: str, body: ShapedBody, triangles: int = LEVELS["base"], rest_shape: RestShape = "moulded"
+) -> Garment:
     """A built-in garment fitted to the resting `body`, with about `triangles` triangles of even size.
 
     Every count approximates the same smooth surface. Surface and garment are kept as long as the body lives.
@@ -48,11 +54,13 @@ def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) 
         name: one of `garment_names()`.
         body: any body whose skeleton has shoulders, elbows, wrists, hips, knees and ankles.
         triangles: wanted number of triangles, from 200 to 200,000; met within 5 %.
+        rest_shape: "flat", cut of flat panels that have a grain; or "moulded", as it sits on the body.
 
     Raises:
-        InputError: an unknown name, a count out of range, or a body without those joints.
+        InputError: an unknown name or rest shape, a count out of range, or a body without those joints.
     """
     refuse_unknown("garment", [name], CUTS)
+    refuse_unknown("rest shape", [rest_shape], get_args(RestShape))
     if isinstance(triangles, bool) or not isinstance(triangles, (int, np.integer)):
         raise InputError(f"The number of triangles must be a whole number, not {triangles!r}.")
     if not FEWEST_TRIANGLES <= triangles <= MOST_TRIANGLES:
@@ -60,13 +68,13 @@ def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) 
             f"A built-in garment has between {FEWEST_TRIANGLES} and {MOST_TRIANGLES} triangles, not {triangles}."
         )
     return body.kept(
-        f"{name} of {triangles} triangles",
-        lambda body: _meshed(name, CUTS[name], _surface(name, body), body, triangles),
+        f"{rest_shape} {name} of {triangles} triangles",
+        lambda body: _meshed(name, CUTS[name], _surface(name, body), body, triangles, rest_shape),
     )
 
 
 def cut_garment(name: str, cut: Cut, body: ShapedBody, triangles: int) -> Garment:
-    """A garment of any cut, fitted and meshed as `build_garment` does it; nothing is kept.
+    """A garment of any cut, fitted and meshed as `build_garment` does it, moulded; nothing is kept.
 
     Args:
         name: name of the garment.
@@ -77,14 +85,19 @@ def cut_garment(name: str, cut: Cut, body: ShapedBody, triangles: int) -> Garmen
     Raises:
         InputError: a body without those joints, or a surface that so many triangles cannot mesh.
     """
-    return _meshed(name, cut, tailor(cut, form_of(body)), body, triangles)
+    return _meshed(name, cut, tailor(cut, form_of(body)), body, triangles, "moulded")
 
 
-def _meshed(name: str, cut: Cut, surface: ImplicitSurface, body: ShapedBody, triangles: int) -> Garment:
+def _meshed(
+    name: str, cut: Cut, surface: ImplicitSurface, body: ShapedBody, triangles: int, rest_shape: RestShape
+) -> Garment:
     vertices, faces = remesh(*surface.mesh, triangles, surface)
     vertices = clear_of_body(vertices, faces, body)
-    uvs, uv_faces = flat_panels(vertices, faces, form_of(body), cut) or (None, None)
-    garment = Garment(name, vertices, faces, MATERIALS["default"], uvs=uvs, uv_faces=uv_faces, loose=cut.loose)
+    points, uv_faces = flat_panels(vertices, faces, form_of(body), cut)
+    garment = Garment(
+        name, vertices, faces, MATERIALS["default"], uvs=points / points.max(), uv_faces=uv_faces, loose=cut.loose,
+        rest_uv=points[uv_faces] if rest_shape == "flat" else None,
+    )  # fmt: skip
     return garment if cut.pins == "none" else garment.with_pins(resolve_pins(cut.pins, garment))
 
 

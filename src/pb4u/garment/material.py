@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -208,6 +208,17 @@ class Material:
         mu = nearest_isotropic(c11, c22, c12, c33)[0]
         isotropic = np.allclose([c11, c22, c33], [c12 + 2.0 * mu, c12 + 2.0 * mu, mu], rtol=1e-9, atol=0.0)
         return not isotropic or isinstance(self.bending_stiffness, DirectionalBending)
+
+    @property
+    def without_grain(self) -> Material:
+        """The isotropic cloth that is nearest, for a garment without grain; itself where it has none."""
+        if not self.has_grain:
+            return self
+        mu, lam = nearest_isotropic(*self.membrane)
+        return replace(
+            self, warp_stiffness=2.0 * mu + lam, weft_stiffness=2.0 * mu + lam, coupling_stiffness=lam,
+            shear_stiffness=mu, bending_stiffness=0.25 * self.bending,
+        )  # fmt: skip
 
     @property
     def stiffening(self) -> tuple[float, float]:

@@ -63,7 +63,7 @@ def tacked(garment: Garment, tacks: Sequence[tuple[int, int]]) -> Garment:
         skinning = skinning.at(np.repeat(first[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (count, 1)))
     return replace(
         garment, vertices=vertices, faces=faces, pinned=pinned, source=source or _source_of(garment), coarse_edges=(),
-        skinning=skinning, rest_uv=garment.rest_shape,
+        skinning=skinning, rest_uv=garment.rest_shape, grainless=not garment.has_grain,
     )  # fmt: skip
 
 

@@ -107,3 +107,15 @@ def laid_flat(corners: np.ndarray) -> np.ndarray:
         flat[:, 2, 0] = np.einsum("ij,ij->i", e1, e2) / flat[:, 1, 0]
         flat[:, 2, 1] = np.linalg.norm(np.cross(e1, e2), axis=1) / flat[:, 1, 0]
     return flat
+
+
+def carried_directions(directions: np.ndarray, corners: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Directions (faces, n) on triangles as they lie on other shapes of these, in the unit of `directions`.
+
+    Args:
+        directions: (faces, m) one on each triangle; only what lies in its plane is carried.
+        corners: (faces, 3, m) of the triangles [m], in the plane or in space.
+        others: (faces, 3, n) of their other shapes [m].
+    """
+    shares = directions[:, None] @ np.linalg.pinv(corners[:, 1:] - corners[:, :1])
+    return (shares @ (others[:, 1:] - others[:, :1]))[:, 0]

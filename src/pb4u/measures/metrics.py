@@ -196,7 +196,13 @@ def _garment(header: TrajectoryHeader, entry: dict[str, Any]) -> Garment:
                 places[first:stop] = len(materials)
             materials.append(Material.of(listed))
     garment = Garment(
-        str(entry["name"]), rest, faces, Material.of(entry["material"]), header.pinned[vertices], rest_uv=flat
+        str(entry["name"]),
+        rest,
+        faces,
+        Material.of(entry["material"]),
+        header.pinned[vertices],
+        rest_uv=flat,
+        grainless=not entry.get("has_grain", True),
     )
     return replace(garment, materials=tuple(materials), face_material=places[triangles]) if materials else garment
 

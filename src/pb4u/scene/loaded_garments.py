@@ -1,15 +1,16 @@
 """The garments of a run. Whatever a garment comes from, it goes through the same stages in the same order:
 
-1. **Read**: its mesh, in the material of the run. Parts of other materials, grain (`rest_uv`), names of panels, UVs,
-   images, pins and skinning are those of its source, and come from nowhere else. Built-in garments and patterns are
-   made here, on the body that wears them and with as many triangles as are asked for.
+1. **Read**: its mesh, in the material of the run. Parts of other materials, flat panels (`rest_uv`) and their names,
+   UVs, images, pins and skinning are those of its source, and come from nowhere else. Built-in garments and patterns
+   are made here, on the body that wears them and with as many triangles as are asked for.
 2. **Place**: a garment that stands around the own origin of a body's model is moved to where that body stands. Other
    units, axes and places are refused, here or in the check.
-3. **Remesh**: parts, pins, skinning and the map to the author's mesh are found again on other triangles. What has a
-   grain is refused: its triangles are those of flat panels.
+3. **Remesh**: parts, pins, skinning and the map to the author's mesh are found again on other triangles. What is sewn
+   of flat panels is refused: its triangles are theirs.
 4. **Tack**: vertices are sewn together. The triangles keep their shapes at rest, which no remeshing could keep.
 5. **Hold**: the pins that are asked for; else its own; else the straps, waistband or collar that are found.
 6. **Check**: what the body does not wear is refused or told of, and limbs that go through the cloth go inside it.
+7. **Grain**: of what has none of its own, that which is given, or that of UVs in metres, those of its author's mesh.
 """
 
 from __future__ import annotations
@@ -30,8 +31,9 @@ from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import MOST_SIMULATED, authors_garment
+from pb4u.garment.grain import grained
 from pb4u.garment.layering import worn_order
-from pb4u.garment.library import DICTIONARIES, SEWN, build_garment, garment_names
+from pb4u.garment.library import DICTIONARIES, LEVELS, SEWN, RestShape, build_garment, garment_names
 from pb4u.garment.limbs_inside import with_limbs_inside
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
@@ -41,7 +43,7 @@ from pb4u.garment.support import Support, find_support
 from pb4u.garment.tacks import tacked
 from pb4u.geometry.appearance import read_image
 from pb4u.geometry.mesh_file import MOST_READ
-from pb4u.run import REST, WornGarment
+from pb4u.run import REST, Run, WornGarment
 
 DEFAULT_MATERIAL = "default"
 
@@ -49,7 +51,7 @@ Body: TypeAlias = ShapedBody | VertexSequence
 
 
 def load_garments(
-    specified: Sequence[WornGarment], body: Body, as_recorded: bool
+    specified: Sequence[WornGarment], body: Body, as_recorded: bool, rest_shape: RestShape
 ) -> tuple[list[Garment], list[WornGarment]]:
     """The garments, and how each was specified, in the order they are worn, inner first.
 
@@ -57,13 +59,14 @@ def load_garments(
         specified: which, inner first but for what is tucked into another.
         body: who wears them.
         as_recorded: whether a recording is played as it is, with garments as coarse as its authors had them.
+        rest_shape: of the built-in ones.
 
     Raises:
         InputError: one cannot be read, or does not fit.
     """
     garments = []
     for worn in specified:
-        garment = load_garment(worn, body)
+        garment = load_garment(worn, body, rest_shape)
         # A recording is replayed as its authors did, on the meshes that they did it with.
         require_fine(garment, body, accepted=as_recorded or _is_own_count(worn, garment))
         garments.append(garment)
@@ -77,12 +80,13 @@ def _is_own_count(worn: WornGarment, garment: Garment) -> bool:
     return worn.triangles == garment.triangle_count and garment.is_authors_mesh and not is_built_in
 
 
-def load_garment(worn: WornGarment, body: Body) -> Garment:
+def load_garment(worn: WornGarment, body: Body, rest_shape: RestShape = Run.rest_shape) -> Garment:
     """One garment, through all stages; an image that is laid on comes last.
 
     Args:
         worn: which garment, and what is asked for of it.
         body: who wears it.
+        rest_shape: of a built-in one.
 
     Raises:
         InputError: it cannot be read, or does not fit.
@@ -91,12 +95,18 @@ def load_garment(worn: WornGarment, body: Body) -> Garment:
         InputWarning: its file is odd, it starts inside the body, or nothing holds it up.
     """
     kind = kind_of(worn.garment)
-    garment = read(worn, body)
+    garment = read(worn, body, rest_shape)
     garment = place(garment, body, kind)
     garment = remesh(garment, body, kind, worn.triangles)
     garment = tacked(garment, worn.tacks)
     garment, support = hold(garment, body, kind, worn.pins)
-    garment = check(garment, body, kind, support, worn.garment)
+    garment = grained(check(garment, body, kind, support, worn.garment), worn.grain)
+    if not garment.has_grain and any(each.has_grain for each in garment.materials or (garment.material,)):
+        warn(
+            f"{garment.name} has no grain, so its cloth is the same in all directions; --grain 0,1,0 makes its warp "
+            "run upwards.",
+            InputNote,
+        )
     return garment if worn.texture is None else garment.with_texture(read_image(Path(worn.texture)))
 
 
@@ -104,13 +114,13 @@ class Kind(NamedTuple):
     """What reads a kind of garment, and what is known of all of that kind.
 
     Args:
-        read: makes the garment that is named for a body, of a material.
+        read: makes the garment that is named for a body, of a material; a built-in one of a rest shape.
         is_file: whether others made it, so that it is to be found out what holds it and whether the body wears it.
         is_fitted: whether it is made on the body that wears it, with as many triangles as are asked for.
         is_at_origin: whether it stands around the own origin of a body's model.
     """
 
-    read: Callable[[WornGarment, Body, Material], Garment]
+    read: Callable[[WornGarment, Body, Material, RestShape], Garment]
     is_file: bool = False
     is_fitted: bool = False
     is_at_origin: bool = False
@@ -135,34 +145,34 @@ def kind_of(garment: str | Path | Garment) -> Kind:
     return KINDS["pattern" if suffix in SEWN else "mesh" if suffix else "built-in"]
 
 
-def _built_in(worn: WornGarment, body: Body, material: Material) -> Garment:
+def _built_in(worn: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
     if not isinstance(body, ShapedBody):
         near = ", ".join(garment_names())
         raise InputError(
             f"The built-in garments ({near}) are cut from a body with bones; {body.name} is a sequence of vertices: "
             "give the garment as a mesh file that fits its first frame."
         )
-    options = {} if worn.triangles is None else {"triangles": worn.triangles}
-    return build_garment(str(worn.garment), body, **options).with_material(material)
+    triangles = LEVELS["base"] if worn.triangles is None else worn.triangles
+    return build_garment(str(worn.garment), body, triangles, rest_shape).with_material(material)
 
 
-def _mesh(worn: WornGarment, body: Body, material: Material) -> Garment:
+def _mesh(worn: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
     return authors_garment(str(worn.garment), material, MOST_SIMULATED if worn.triangles is None else MOST_READ)
 
 
-def _pattern(worn: WornGarment, body: Body, material: Material) -> Garment:
+def _pattern(worn: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
     file = Path(str(worn.garment))
     garment: Garment = resolve_name(SEWN[file.suffix.lower()])(file, body, material, worn.triangles)
     return garment
 
 
-def _dictionary(worn: WornGarment, body: Body, material: Material) -> Garment:
+def _dictionary(worn: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
     entry = DictionaryEntry.parse(str(worn.garment))
     assert entry is not None
     return DICTIONARIES.named(entry.path.suffix.lower())(entry, material)
 
 
-def _object(worn: WornGarment, body: Body, material: Material) -> Garment:
+def _object(worn: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
     garment = worn.garment
     assert isinstance(garment, Garment)
     if len(loose := garment.topology.isolated_vertices):
@@ -184,18 +194,19 @@ KINDS = {
 """Name of a kind -> what reads it and what is known of it; an object is a Garment made in Python."""
 
 
-def read(worn: WornGarment, body: Body) -> Garment:
+def read(worn: WornGarment, body: Body, rest_shape: RestShape = Run.rest_shape) -> Garment:
     """A garment as its source gives it, in the material of the run; else in its own, or in the default one.
 
     Args:
         worn: which garment.
         body: who wears it.
+        rest_shape: of a built-in one.
 
     Raises:
         InputError: it cannot be read, or is not for this body.
     """
     materials = dict(worn.materials)
-    garment = kind_of(worn.garment).read(worn, body, _material(materials.pop(REST, DEFAULT_MATERIAL)))
+    garment = kind_of(worn.garment).read(worn, body, _material(materials.pop(REST, DEFAULT_MATERIAL)), rest_shape)
     refuse_unknown("part", materials, garment.parts, f"The garment {garment.name}")
     for part, material in materials.items():
         garment = garment.with_part(_material(material), garment.parts[part])

@@ -34,8 +34,8 @@ class TrajectoryHeader:
         uvs: (uv points, 2) float64 UV coordinates, or None.
         uv_faces: (faces, 3) int64 UV points of each face, or None.
         source: the author's mesh where it differs from the simulated one.
-        rest_uv: (faces, 3, 2) float64 corners [m] of faces that lie flat at rest, NaN for those of garments whose rest
-            shape is `rest_positions`; None where all are.
+        rest_uv: (faces, 3, 2) float64 corners [m] of faces that lie flat at rest, along the grain where `metadata` says
+            that a garment has one; NaN for those of garments whose rest shape is `rest_positions`; None where all are.
         polygons: the faces before they were cut into triangles, where this mesh is the author's own; or None.
         appearances: colours and images of the faces, where their author gave any.
     """
@@ -75,6 +75,7 @@ class TrajectoryHeader:
                 "triangles": triangles[k : k + 2],
                 "source": sources[k],
                 "rest_area": float(garment.face_areas.sum()),
+                "has_grain": garment.has_grain,
                 **({"panels": list(garment.panels)} if garment.panels else {}),
             }
             for k, garment in enumerate(garments)

@@ -19,7 +19,6 @@ from pb4u.body.body_model import PosedBody
 from pb4u.errors import Pb4uError, interrupt_behind
 from pb4u.physics.solver.newton_solver import Solution
 from pb4u.progress import Progress, no_progress, progress_or_bar
-from pb4u.run import Run
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
@@ -208,7 +207,7 @@ class Simulator(ABC):
             "seed": scene.seed,
             "versions": {"pb4u": __version__, "torch": torch.__version__, "numpy": np.__version__},
             **scene.environment.metadata,
-            "rest_shape": scene.labels.get("rest_shape", Run.rest_shape),
+            "rest_shape": scene.labels.get("rest_shape", "moulded"),
             "lead_in": scene.lead_in,
             "heading": _heading(scene),
             "notes": list(scene.notes),

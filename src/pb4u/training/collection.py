@@ -88,7 +88,7 @@ def _bodies(selection: DataSelection, rng: np.random.Generator) -> list[ShapedBo
 def _garment(selection: DataSelection, name: str, body: ShapedBody, triangles: int, seed: tuple[int, ...]) -> Garment:
     """A garment of the selection. Its random draws depend on its index alone, so a change of one leaves the others."""
     if _is_file(name):
-        loaded = load_garment(WornGarment(name, triangles=triangles), body)
+        loaded = load_garment(WornGarment(name, triangles=triangles), body, "moulded")
         if loaded.rest_uv is not None:
             raise InputError(f"{name} is sewn of flat panels, which training does not take; give its mesh.")
         return loaded
