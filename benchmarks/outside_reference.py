@@ -401,6 +401,7 @@ def main() -> None:
         arguments.motion,
         triangles=arguments.triangles,
         frames=arguments.frames,
+        rest_shape="moulded",
     )
     columns = {}
     for model in arguments.models:

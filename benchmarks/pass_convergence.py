@@ -37,7 +37,14 @@ def heights(models: dict[str, StepwiseSimulator], scene: str, options: argparse.
     """Heights (steps, stages) [mm] left by each model: at the start, after each of its own passes, and at the end."""
     garment, motion = scene.split(":")
     made = make_scene(
-        garment, "woman", motion, triangles=options.triangles, frames=options.frames, lead_in=LEAD_IN, seed=2000
+        garment,
+        "woman",
+        motion,
+        triangles=options.triangles,
+        frames=options.frames,
+        lead_in=LEAD_IN,
+        seed=2000,
+        rest_shape="moulded",
     )
     timeline, record, potential = Timeline.of(made), RunRecord(), IncrementalPotential()
     quick = load_simulator("quick-solver", contact=False, self_contact=False)

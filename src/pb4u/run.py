@@ -205,7 +205,7 @@ class Run:
     ] = "auto"
     as_recorded: Annotated[bool, Flag(RESEARCH, names=("--as-recorded/--retargeted",))] = False
     omitted: Annotated[str | Path | None, Flag(RESEARCH, "FILE", is_file=True)] = None
-    rest_shape: Annotated[Literal["flat", "moulded"], Flag(SCENE, "NAME")] = "moulded"
+    rest_shape: Annotated[Literal["flat", "moulded"], Flag(SCENE, "NAME")] = "flat"
     friction_law: Annotated[Literal["paper"], _model("NAME", applies_to=STEPS)] = "paper"
     time_integration: Annotated[Literal["implicit-euler"], _model("NAME", applies_to=STEPS)] = "implicit-euler"
     air: Annotated[bool, _model(applies_to=STEPS)] = False

@@ -88,8 +88,9 @@ TuckFlag: TypeAlias = Annotated[
 AsReleasedFlag: TypeAlias = Annotated[
     Literal["pb4u", "mgn", "hood", "contourcraft"] | None,
     typer.Option(
-        help="Play a recording as the authors of this released code did: --as-recorded, --arms-away 20, --lead-in 31, "
-        "its own first frame, one pass in float32, and neither contact, self-contact nor refinement. Other flags win.",
+        help="Play a recording as the authors of this released code did: --as-recorded, --rest-shape moulded, "
+        "--arms-away 20, --lead-in 31, its own first frame, one pass in float32, and neither contact, self-contact nor "
+        "refinement. Other flags win.",
         rich_help_panel=RESEARCH,
     ),
 ]
@@ -99,6 +100,7 @@ def released_entries(method: str) -> dict[str, Any]:
     """Entries of a run that plays a recording as the released code of `method`, a key of `AS_RELEASED`, did."""
     return {
         "as_recorded": True,
+        "rest_shape": "moulded",
         "arms_away": 20.0,
         "lead_in": 31,
         "first_frame": AS_RELEASED[method],

@@ -44,7 +44,7 @@ def garment_names() -> tuple[str, ...]:
 
 
 def build_garment(
-    name: str, body: ShapedBody, triangles: int = LEVELS["base"], rest_shape: RestShape = "moulded"
+    name: str, body: ShapedBody, triangles: int = LEVELS["base"], rest_shape: RestShape = "flat"
 ) -> Garment:
     """A built-in garment fitted to the resting `body`, with about `triangles` triangles of even size.
 

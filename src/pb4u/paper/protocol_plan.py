@@ -215,6 +215,7 @@ class _Planning:
         return Run(
             (WornGarment(garment, triangles=self.levels[level]),), body=body, motion=motion.source,
             seed=motion.seed or 0, frames=self.protocol.frames, lead_in=self.request.lead_in, fps=FPS,
+            rest_shape="moulded",
         )  # fmt: skip
 
     def _floor(self, scene: Run, motion: _Motion, level: str) -> RunJob | dict[str, float] | None:

@@ -98,7 +98,7 @@ def _garment(selection: DataSelection, name: str, body: ShapedBody, triangles: i
     if name == CAPE:
         garment = cape(body, count, rng)
     else:
-        garment = varied_garment(name, body, count, rng) if varies else build_garment(name, body, count)
+        garment = varied_garment(name, body, count, rng) if varies else build_garment(name, body, count, "moulded")
     return uneven(garment, body, rng) if refined else garment
 
 

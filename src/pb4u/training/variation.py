@@ -48,7 +48,7 @@ def varied_garment(name: str, body: ShapedBody, triangles: int, rng: np.random.G
         mesh = garment.topology
         if mesh.piece_of_vertex.max() == 0 and len(mesh.boundary_loops) == _borders(cut):
             return garment
-    return build_garment(name, body, triangles)
+    return build_garment(name, body, triangles, "moulded")
 
 
 def _borders(cut: Cut) -> int:
