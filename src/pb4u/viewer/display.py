@@ -35,7 +35,7 @@ _MARGIN, _DEPTH = 1.2, 0.3
 _GAP = 0.25
 """Between bodies that stand side by side [m]: room for a skirt that swings out."""
 
-_LAMP, _SKY = 3.0, 0.8
+_LAMP, _SKY = 2.6, 0.35
 """Intensity of a light that pictures have at 1, and of what comes from all around, in the browser's unit."""
 
 _IN_FLIGHT = 2

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
     from pb4u.scene.trajectory import TrajectoryHeader
 
+_LINE_SHADE = 0.65
+"""Colour of lines, which take no light here, over what they are in pictures: cloth in the light is about that dark."""
+
 
 class Surface(ABC):
     """Cloth in the scene of one page."""
@@ -100,7 +103,7 @@ class GarmentsSurface(Surface):
         self._drawn = DrawnCloth(header, coarse=0) if wireframe else DrawnCloth(header)
         self._lines: list[tuple[SewingLines, LineSegmentsHandle]] = []
         lines = self._drawn.lines(sewing_lines(header))
-        colours = lines.colours(parts, self._drawn.parent)
+        colours = (_LINE_SHADE * lines.colours(parts, self._drawn.parent)).astype(np.uint8)
         for width in [] if wireframe else np.unique(lines.width).tolist():
             chosen = lines.width == width
             handle = scene.add_line_segments(
