@@ -5,7 +5,7 @@
     python benchmarks/claim_tables.py ROWS.jsonl [MORE.jsonl ..]
 
 FOLDER holds the arms as `tools/comparison.py` leaves them: `literal` and `literal-without-control`, and with -seed1 and
--seed2. `--arms FILE.safetensors` takes other weights. Each rollout is one line of the file; those that stand there are
+-seed2. `--arms NAME|FILE` takes other weights. Each rollout is one line of the file; those that stand there are
 passed over, so that the same command goes on where it was ended. Shares go to several processes, each with its own
 file. The solver's rollouts, from which distances are taken, are kept beside the file.
 """
@@ -30,12 +30,12 @@ from pb4u.measures.metrics import measure
 from pb4u.motion.library import motion_names
 from pb4u.run import Run, WornGarment
 from pb4u.scene.trajectory import Trajectory
-from pb4u.simulation.models import load_checkpoint_of, simulator_of
+from pb4u.simulation.models import simulator_of
 from pb4u.simulation.run_simulation import roll_out, scene_for
 from pb4u.simulation.simulator import RunRecord
 
 LEVELS = (1200, 1970, 2730, 4140, 9600, 19200, 38400)
-GARMENTS = ("tshirt", "tanktop", "longsleeve", "dress", "skirt", "trousers")
+GARMENTS = ("tshirt", "tanktop", "longsleeve", "dress", "fitted_dress", "cardigan")
 MOTIONS = ("walk", "dance", "jump", "07_02")
 IN_PART = {"garments": ("tshirt", "dress"), "motions": ("walk",), "from": 19200}
 """What runs of the finest levels, whose rollouts take most of the time."""
@@ -88,13 +88,13 @@ def plan(options: argparse.Namespace) -> list[Rollout]:
     return found
 
 
-def weights_of(rollout: Rollout, folder: Path | None) -> Path:
-    """File of the weights of an arm."""
+def weights_of(rollout: Rollout, folder: Path | None) -> str:
+    """Name or file of the weights of an arm."""
     if rollout.arm not in ARMS:
-        return Path(rollout.arm)
+        return rollout.arm
     assert folder is not None
     name = ARMS[rollout.arm] + (f"-seed{rollout.seed}" if rollout.seed else "")
-    return folder / name / "final.safetensors"
+    return str(folder / name / "final.safetensors")
 
 
 def run_of(rollout: Rollout, options: argparse.Namespace) -> Run:
@@ -103,12 +103,11 @@ def run_of(rollout: Rollout, options: argparse.Namespace) -> Run:
     motion = rollout.motion if built_in else next(options.recordings.rglob(f"{rollout.motion}.amc"))
     model: dict[str, Any] = {"model": rollout.arm, "refine": 5 if rollout.arm == "quick-solver" else 0}
     if rollout.arm not in CONTROLS:
-        name = load_checkpoint_of(str(weights_of(rollout, options.weights))).scaling_in_use(rollout.scaling)
         model = {
             "model": weights_of(rollout, options.weights),
             "refine": 0,
             "device": options.device,
-            "scaling": None if name is None else rollout.scaling,
+            "scaling": rollout.scaling,
             "propagation_steps": rollout.steps or None,
         }
     return Run(
@@ -166,7 +165,7 @@ def run(options: argparse.Namespace) -> None:
         for rollout in rollouts:
             if (rollout.triangles, rollout.garment, rollout.motion) not in mine or rollout in done:
                 continue
-            if rollout.arm not in CONTROLS and not weights_of(rollout, options.weights).exists():
+            if rollout.arm in ARMS and not Path(weights_of(rollout, options.weights)).exists():
                 continue
             made = row(rollout, options, references)
             out.write(json.dumps(made) + "\n")

@@ -99,7 +99,7 @@ def draw(rows: list[dict[str, Any]], out: Path) -> None:
     matplotlib.use("svg")
     from matplotlib import pyplot
 
-    pyplot.rcParams["svg.hashsalt"] = "gains"
+    pyplot.rcParams.update({"svg.hashsalt": "gains", "svg.fonttype": "none"})
     figure, panels = pyplot.subplots(1, 2, figsize=(8.0, 3.2), layout="constrained")
     lengths = sorted({row["edge_length"] for row in rows}, reverse=True)
     for panel, part, title in ((panels[0], "mesh", "waves of the mesh"), (panels[1], "bulk", "bulk motion")):

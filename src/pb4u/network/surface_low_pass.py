@@ -16,7 +16,7 @@ from pb4u.threads import to_device
 _TOLERANCE = 1e-5
 """Error of the sweeps, relative to what they solve for; single precision of the accelerations leaves about that."""
 
-_MOST_SWEEPS = 500
+_MOST_SWEEPS = 1000
 """Limit for meshes with slivers, where the bound of the spectrum is far too careful."""
 
 
@@ -69,7 +69,7 @@ class _Solution(torch.autograd.Function):
 
 
 def _system(garments: PackedGarments, length: float) -> tuple[np.ndarray, np.ndarray, Any]:
-    """Areas (vertices,) [m^2] that values count with; the matrix: its diagonal and, sparse, minus what is beside."""
+    """Areas (vertices,) [m^2] that values count with; of the matrix its diagonal and, negated, the sparse rest."""
     from scipy.sparse import coo_array
 
     second, third = garments.inverse_rest_shape.double().unbind(1)
