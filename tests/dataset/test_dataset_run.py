@@ -449,6 +449,6 @@ def test_diverged_clips_and_notes_are_summed(tmp_path: Path) -> None:
 
 
 def test_a_refusal_names_file_and_clip(tmp_path: Path) -> None:
-    told = r"^jobs\.toml: clip 2 \(tshirt in linen, model = skinning\): There is no material .linen."
+    told = r"^jobs\.toml: clip 2 \(tshirt in linnen, model = skinning\): There is no material .linnen."
     with pytest.raises(InputError, match=told):
-        make([*runs(1), *runs(1, material="linen")], tmp_path / "set", quick, jobs_file="jobs.toml")
+        make([*runs(1), *runs(1, material="linnen")], tmp_path / "set", quick, jobs_file="jobs.toml")

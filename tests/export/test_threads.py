@@ -86,7 +86,7 @@ def test_a_flag_leaves_them_out(
     convert: Callable[..., tuple[int, str]], trajectory: Trajectory, tmp_path: Path
 ) -> None:
     file, strips = trajectory.save(tmp_path / "t.npz"), []
-    for flag in ("--weave", "--no-weave"):
-        assert convert(file, tmp_path / "t.png", "--size", "90x120", flag) == (0, "")
+    for flag in ("on", "off"):
+        assert convert(file, tmp_path / "t.png", "--size", "90x120", "--weave", flag) == (0, "")
         strips.append(np.asarray(Image.open(tmp_path / "t.png").convert("RGB")))
     assert (strips[0] != strips[1]).any()

@@ -131,7 +131,7 @@ def test_a_kept_lead_in_is_written_and_still_leads(woman: ShapedBody) -> None:
 
 def test_several_garments_are_worn_inner_first(woman: ShapedBody, tmp_path: Path) -> None:
     file = exported("skirt", woman, tmp_path)
-    loaded = build_garment("cardigan", woman, 500)
+    loaded = build_garment("cardigan", woman, 500, "moulded")
     scene = make_scene(
         ["tanktop", file, loaded], woman, "dance", triangles=[400, None, 1000], material=["silk", "denim", None],
         pins=[None, "waist", None], frames=2, lead_in=1,
@@ -174,7 +174,7 @@ def test_a_loaded_garment_keeps_its_material_until_another_is_given(woman: Shape
 def test_a_loaded_garment_is_remeshed_with_its_pins_and_its_author_s_mesh(
     woman: ShapedBody, tmp_path: Path, from_file: bool
 ) -> None:
-    garment: Garment = build_garment("skirt", woman, 900)
+    garment: Garment = build_garment("skirt", woman, 900, "moulded")
     if from_file:
         garment = read_garment(exported("skirt", woman, tmp_path), MATERIALS["silk"], pins="waist")
     worn = make_scene(garment, woman, triangles=400, frames=1, lead_in=0).garments[0].garment

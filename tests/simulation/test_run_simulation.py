@@ -14,6 +14,7 @@ from pb4u.errors import InputError
 from pb4u.garment.material import Material
 from pb4u.motion.library import load_motion
 from pb4u.run import Run, WornGarment
+from pb4u.scene_file import OF_BEFORE
 from pb4u.simulation.first_frame import OneLongStep, Settled
 from pb4u.simulation.models import simulator_of
 from pb4u.simulation.stepwise_simulator import StepwiseSimulator
@@ -87,10 +88,10 @@ def test_files_are_found_from_the_scene_file(tmp_path: Path, monkeypatch: pytest
 def test_a_few_lines_by_hand_are_enough(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     file.write_text('[[garments]]\ngarment = "dress"\n[scene]\nfps = 24\nbody_shape = { height = 1 }\n')
-    expected = Run((WornGarment("dress"),), fps=24, body_shape={"height": 1}, friction_law="paper")
+    expected = Run((WornGarment("dress"),), fps=24, body_shape={"height": 1}, **OF_BEFORE)
     assert Run.open(file) == expected
     file.write_text("")
-    assert Run.open(file) == Run(friction_law="paper")
+    assert Run.open(file) == Run(**OF_BEFORE)
 
 
 @pytest.mark.parametrize(

@@ -141,7 +141,8 @@ class TrajectoryHeader:
     @property
     def materials(self) -> list[tuple[dict[str, Any], np.ndarray]]:
         """Each material in `metadata`, of older files one a garment, and which faces (faces,) bool are of it."""
-        older = [{**(each.get("material") or {}), "faces": [each["triangles"]]} for each in self.garments]
+        whole = [0, len(self.faces)]
+        older = [{**(each.get("material") or {}), "faces": [each.get("triangles", whole)]} for each in self.garments]
         listed = []
         for made in self.metadata.get("materials") or older:
             faces = np.zeros(len(self.faces), dtype=bool)
