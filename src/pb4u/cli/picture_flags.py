@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pb4u.cli.record_flags import record_flags
+from pb4u.cli.record_flags import given_values, record_flags
 from pb4u.errors import InputError
 from pb4u.export.registry import check_view, is_drawn
 from pb4u.options import Flag
@@ -32,7 +32,7 @@ class PictureRequest:
         colour: Colour of the innermost garment in pictures, as a name or #RRGGBB; given again, of the next. Default:
             that of its material.
         background: Colour behind and below them, as a name or #RRGGBB. Default: light grey.
-        weave: Draw the threads of cloth that has UVs. Default: yes.
+        weave: Draw the threads of cloth that has UVs. Default: on.
     """
 
     view: Annotated[str | None, Flag(_PANEL, "SIDE|DEGREES")] = None
@@ -59,6 +59,7 @@ def view_of(targets: Sequence[Path], given: Mapping[str, Any]) -> View | None:
     """
     from pb4u.export.view import View
 
+    given = dict.fromkeys(given) | given_values(PictureRequest, given)
     asked: dict[str, Any] = {
         name: given[name] for name in ("elevation", "turntable", "weave") if given[name] is not None
     }
