@@ -17,6 +17,7 @@ from tests.viewer.clips import header, tube
 from tests.viewer.test_page import BROWSER, DRIVER, FLAGS, wait_for
 
 from pb4u.export.registry import export
+from pb4u.geometry.appearance import Appearance, Appearances
 from pb4u.scene.trajectory import Frame, Trajectory
 
 viser = pytest.importorskip("viser", reason='three.js comes with the "view" extra')
@@ -40,7 +41,8 @@ def swinging_skirt(frames: int = 60) -> Trajectory:
         angle = (0.8 * np.sin(2 * np.pi * (t / frames - 0.1 * drop)))[:, None] * [0.0, 0.0, 1.0]
         clip.append(Rotation.from_rotvec(angle).apply(rest - [0, 1.1, 0]) + [0, 1.1, 0])
     as_float = [Frame(places.astype("f4"), np.zeros_like(places, "f4"), body.astype("f4")) for places in clip]
-    return Trajectory.collect(replace(header(), rest_positions=rest.astype("f4")), as_float)
+    blue = Appearances((Appearance("blue", (0.16, 0.36, 0.62)),), np.zeros(len(header().faces), dtype=np.int64))
+    return Trajectory.collect(replace(header(), rest_positions=rest.astype("f4"), appearances=blue), as_float)
 
 
 @pytest.fixture
