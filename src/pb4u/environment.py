@@ -28,7 +28,7 @@ class Environment:
 
     Args:
         gravity: Acceleration of free fall [m/s^2] along X, Y and Z, Y being up.
-        wind: Mean velocity of the air [m/s] along X, Y and Z; needs --air.
+        wind: Mean velocity of the air [m/s] along X, Y and Z; needs --air on.
         gusts: Seed of the gusts of that wind. Default: a steady wind.
         air_density: Density of the air [kg/m^3].
         ground: Height of the ground plane [m]; none for no ground.

@@ -231,7 +231,7 @@ class Run:
         if not isinstance(self.environment, Environment):
             raise InputError(f"The environment of a run is a pb4u.Environment, not {self.environment!r}.")
         if any(self.environment.wind) and not self.air:
-            raise InputError("wind moves nothing where there is no air: give air = true too (--air).")
+            raise InputError("wind moves nothing where there is no air: give air = true too (--air on).")
         if not self.garments:
             raise InputError("A scene has at least one garment; none is given.")
         if len(self.garments) > MOST_GARMENTS:
