@@ -60,7 +60,7 @@ class WornGarment:
             `pb4u dress`), or FILE.pkl:NAME of a garments dictionary of HOOD's family; in Python a Garment too.
         material: Built-in material (`pb4u assets`), a JSON file in SI units or a Material; NAME.PART=MATERIAL, or a
             table by part, gives one to a panel of its pattern or to what its file calls a material ("body" is the
-            rest). Default: the garment's own, or "default".
+            rest). Default: the garment's own, a fabric if it is built in and flat, else "default".
         pins: Vertices that follow the body: none, waist (highest border), collar (uppermost 4 cm of a border), hem
             (lowest border), loop:N (of the borders by their vertices, loop:0 the one with the most), a file of indices
             or a list. Default: the garment's own.

@@ -31,6 +31,7 @@ class Cut:
     Args:
         top: "shoulder" (it hangs from the shoulders) or "waist".
         hem: "crotch", "knee", "calf" or "ankle".
+        fabric: that it wears where none is asked for, a name of `FABRICS`.
         hem_offset: how far above that height it ends [m].
         ease: slack of the torso part at chest (or waist), waist, hip and hem [m].
         taper: how much it may draw in per metre going down, above and below the waist [m/m]; negative: must flare.
@@ -46,6 +47,7 @@ class Cut:
 
     top: str
     hem: str
+    fabric: str
     hem_offset: float
     ease: tuple[float, float, float, float]
     taper: tuple[float, float]
@@ -74,33 +76,33 @@ SCOOP = Neckline(front=0.115, back=0.05, spread=0.038)
 
 CUTS: dict[str, Cut] = {
     "tshirt": Cut(
-        "shoulder", "crotch", 0.03, (0.025, 0.030, 0.032, 0.034), taper=(0.08, 0.08),
+        "shoulder", "crotch", "cotton-jersey", 0.03, (0.025, 0.030, 0.032, 0.034), taper=(0.08, 0.08),
         neckline=CREW, sleeve=0.62, sleeve_ease=(0.008, 0.026),
     ),
     "tanktop": Cut(
-        "shoulder", "crotch", 0.05, (0.014, 0.026, 0.030, 0.033), taper=(0.14, 0.14),
+        "shoulder", "crotch", "rib", 0.05, (0.014, 0.026, 0.030, 0.033), taper=(0.14, 0.14),
         neckline=SCOOP, armhole_depth=0.035, strap=0.045,
     ),
     "longsleeve": Cut(
-        "shoulder", "crotch", 0.03, (0.022, 0.028, 0.031, 0.034), taper=(0.10, 0.10),
+        "shoulder", "crotch", "interlock", 0.03, (0.022, 0.028, 0.031, 0.034), taper=(0.10, 0.10),
         neckline=CREW, sleeve=1.93, sleeve_ease=(0.008, 0.016),
     ),
     "dress": Cut(
-        "shoulder", "calf", 0.0, (0.014, 0.020, 0.035, 0.035), taper=(0.30, -0.20),
+        "shoulder", "calf", "viscose", 0.0, (0.014, 0.020, 0.035, 0.035), taper=(0.30, -0.20),
         neckline=SCOOP, armhole_depth=0.03, strap=0.055, loose=True,
     ),
     "fitted_dress": Cut(
-        "shoulder", "knee", 0.08, (0.010, 0.012, 0.016, 0.034), taper=(0.90, 0.08),
+        "shoulder", "knee", "ponte", 0.08, (0.010, 0.012, 0.016, 0.034), taper=(0.90, 0.08),
         neckline=Neckline(0.085, 0.02, 0.034), sleeve=0.40, sleeve_ease=(0.007, 0.014), loose=True,
     ),
     "cardigan": Cut(
-        "shoulder", "crotch", 0.02, (0.032, 0.036, 0.038, 0.040), taper=(0.06, 0.06),
+        "shoulder", "crotch", "wool-knit", 0.02, (0.032, 0.036, 0.038, 0.040), taper=(0.06, 0.06),
         neckline=Neckline(0.075, 0.0, 0.030), sleeve=1.93, sleeve_ease=(0.011, 0.022), front_gap=0.08,
     ),
     "trousers": Cut(
-        "waist", "ankle", 0.025, (0.007, 0.007, 0.016, 0.030), taper=(0.10, 0.10), legs=True,
+        "waist", "ankle", "denim-11oz", 0.025, (0.007, 0.007, 0.016, 0.030), taper=(0.10, 0.10), legs=True,
     ),
     "skirt": Cut(
-        "waist", "knee", 0.0, (0.007, 0.007, 0.020, 0.035), taper=(0.0, -0.26), loose=True,
+        "waist", "knee", "wool-suiting", 0.0, (0.007, 0.007, 0.020, 0.035), taper=(0.0, -0.26), loose=True,
     ),
 }  # fmt: skip

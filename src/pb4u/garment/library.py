@@ -15,7 +15,7 @@ from pb4u.garment.clearance import clear_of_body
 from pb4u.garment.cuts import CUTS, Cut
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.garment import Garment
-from pb4u.garment.material import MATERIALS, Material
+from pb4u.garment.material import FABRICS, MATERIALS, Material
 from pb4u.garment.panels import flat_panels
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.tailoring import tailor
@@ -54,7 +54,8 @@ def build_garment(
         name: one of `garment_names()`.
         body: any body whose skeleton has shoulders, elbows, wrists, hips, knees and ankles.
         triangles: wanted number of triangles, from 200 to 200,000; met within 5 %.
-        rest_shape: "flat", cut of flat panels that have a grain; or "moulded", as it sits on the body.
+        rest_shape: "flat", cut of flat panels that have a grain, in a fabric of its own; or "moulded", as it sits on
+            the body, in the material of the family of networks.
 
     Raises:
         InputError: an unknown name or rest shape, a count out of range, or a body without those joints.
@@ -94,9 +95,11 @@ def _meshed(
     vertices, faces = remesh(*surface.mesh, triangles, surface)
     vertices = clear_of_body(vertices, faces, body)
     points, uv_faces = flat_panels(vertices, faces, form_of(body), cut)
+    material, rest_uv = MATERIALS["default"], None
+    if rest_shape == "flat":
+        material, rest_uv = FABRICS[cut.fabric], points[uv_faces]
     garment = Garment(
-        name, vertices, faces, MATERIALS["default"], uvs=points / points.max(), uv_faces=uv_faces, loose=cut.loose,
-        rest_uv=points[uv_faces] if rest_shape == "flat" else None,
+        name, vertices, faces, material, uvs=points / points.max(), uv_faces=uv_faces, loose=cut.loose, rest_uv=rest_uv,
     )  # fmt: skip
     return garment if cut.pins == "none" else garment.with_pins(resolve_pins(cut.pins, garment))
 

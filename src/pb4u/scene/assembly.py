@@ -13,7 +13,7 @@ import numpy as np
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import PosedBody, ShapedBody
 from pb4u.environment import USUAL
-from pb4u.errors import InputError, refuse_unknown, warn
+from pb4u.errors import InputError, InputNote, refuse_unknown, warn
 from pb4u.garment.corrected_placement import CorrectedPlacement
 from pb4u.garment.dressing import AttachedPlacement, Placement, PrescribedPlacement, SkinnedPlacement
 from pb4u.garment.fit import RestBody
@@ -177,7 +177,7 @@ def _lost_folds(garments: Sequence[Garment]) -> tuple[str, ...]:
             f"{garment.name}: edges of {1e3 * edge:.0f} mm are too long for the folds of this cloth; {enough} "
             f"triangles have edges of {1e3 * longest:.0f} mm, which have most of them."
         )
-        warn(notes[-1])
+        warn(notes[-1], InputNote)
     return tuple(notes)
 
 

@@ -159,7 +159,8 @@ def _built_in(worn: WornGarment, body: Body, material: Material, rest_shape: Res
             "give the garment as a mesh file that fits its first frame."
         )
     triangles = LEVELS["base"] if worn.triangles is None else worn.triangles
-    return build_garment(str(worn.garment), body, triangles, rest_shape).with_material(material)
+    garment = build_garment(str(worn.garment), body, triangles, rest_shape)
+    return garment.with_material(material) if REST in worn.materials else garment
 
 
 def _mesh(worn: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:

@@ -14,7 +14,6 @@ from pb4u.garment.pins import NAMES as PIN_NAMES
 from pb4u.motion.library import motion_names
 from pb4u.options import Entry, described
 from pb4u.run import BODY, MOST_GARMENTS, Run, WornGarment
-from pb4u.scene.loaded_garments import DEFAULT_MATERIAL
 from pb4u.scene.moving_body import DEFAULT_FRAMES, DEFAULT_MOTION
 from pb4u.simulation.models import default_model, model_descriptions
 from pb4u.viewer.live_simulation import MOST_FRAMES, MOST_REFINING, MOST_TRIANGLES, Ending
@@ -25,7 +24,7 @@ from pb4u.viewer.worker import plain_sentence
 if TYPE_CHECKING:
     from viser import GuiApi, GuiUploadButtonHandle
 
-_OWN_PINS = "its own"
+_OWN = "its own"
 
 
 def _controls(gui: Any, entries: Iterable[Entry], offered: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -70,8 +69,8 @@ class GarmentControls:
         self.folder = gui.add_folder(f"Garment {number}" + (", the innermost" if number == 1 else ""))
         offered: dict[str, dict[str, Any]] = {
             "garment": {"options": garments, "initial_value": first},
-            "material": {"options": material_names(), "initial_value": DEFAULT_MATERIAL},
-            "pins": {"options": (_OWN_PINS, *PIN_NAMES), "initial_value": _OWN_PINS},
+            "material": {"options": (_OWN, *material_names()), "initial_value": _OWN},
+            "pins": {"options": (_OWN, *PIN_NAMES), "initial_value": _OWN},
             "triangles": {
                 "initial_value": LEVELS["base"], "min": 0, "max": MOST_TRIANGLES, "step": 100,
                 "hint": "0 for a file of your own: simulate its own mesh.",
@@ -87,8 +86,8 @@ class GarmentControls:
             find: gives the path of a file of a kind and name, or None.
         """
         values = _values(WornGarment, self.controls, find)
-        pins = None if values["pins"] == _OWN_PINS else values["pins"]
-        return WornGarment(**{**values, "pins": pins, "triangles": values["triangles"] or None})
+        own = {name: None for name in ("material", "pins") if values[name] == _OWN}
+        return WornGarment(**{**values, **own, "triangles": values["triangles"] or None})
 
 
 class SimulationPanel(Panel):
