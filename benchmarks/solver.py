@@ -28,6 +28,7 @@ from pb4u.body.library import load_body
 from pb4u.environment import USUAL
 from pb4u.garment.dressing import SkinnedPlacement
 from pb4u.garment.library import build_garment
+from pb4u.garment.material import nearest_isotropic
 from pb4u.measures.metrics import ENERGIES, measure, strain_percentile
 from pb4u.motion.library import load_motion
 from pb4u.physics.incremental_potential import IncrementalPotential
@@ -202,7 +203,7 @@ def quasi_newton_curve(
 
 def _laplacian(garments: PackedGarments, dt: float) -> coo_matrix:
     edges, count = garments.edges.numpy(), garments.vertex_count
-    stiffness = float((garments.lame_mu * garments.thickness).mean()) * 2.0
+    stiffness = 2.0 * float(nearest_isotropic(*garments.membrane.unbind(1))[0].mean())
     a, b = np.concatenate([edges[:, 0], edges[:, 1]]), np.concatenate([edges[:, 1], edges[:, 0]])
     degree = np.bincount(a, minlength=count) * stiffness + garments.vertex_masses.numpy() / dt**2
     rows, columns = np.concatenate([a, np.arange(count)]), np.concatenate([b, np.arange(count)])

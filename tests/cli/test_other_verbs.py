@@ -399,3 +399,22 @@ def test_check_reads_a_garment_of_a_dictionary_and_names_the_body_file(pb4u: Cal
     ended = pb4u("check", far, "--body", body)
     assert f"--body '{body}'" in ended.out
     assert "--body BODY" not in ended.out
+
+
+def test_swatches_are_drawn_as_pictures_alone(pb4u: Callable, tmp_path: Path) -> None:
+    ended = pb4u("assets", "swatches", tmp_path / "sheet.txt")
+    assert ended.code == 1
+    assert "Swatches are drawn as .png or .jpg or .jpeg" in ended.err
+
+
+@pytest.mark.slow
+def test_a_swatch_of_a_fabric_stands_beside_what_is_published(pb4u: Callable, tmp_path: Path) -> None:
+    from PIL import Image
+
+    sheet = tmp_path / "sheet.png"
+    ended = pb4u("assets", "swatches", sheet, "--material", "cotton-jersey", "--edge", "30", "--json", "-")
+    assert ended.code == 0
+    (row,) = json.loads(ended.out)["swatches"]
+    assert (row["material"], row["published"]["highest"]) == ("cotton-jersey", 40)
+    assert 0.0 < row["drape_coefficient"] < 60.0
+    assert np.asarray(Image.open(sheet).convert("L"), dtype=float)[60:300].std() > 10.0

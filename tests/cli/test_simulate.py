@@ -90,7 +90,18 @@ def test_json_alone_goes_to_standard_output(pb4u: Callable, tmp_path: Path) -> N
 def test_a_limb_through_the_cloth_is_warned_of_with_and_without_a_report(
     pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    flags = ("simulate", *SMALL, "--garment", "skirt", "--frames", 2, "--out", tmp_path / "a.npz")
+    flags = (
+        "simulate",
+        *SMALL,
+        "--garment",
+        "skirt",
+        "--material",
+        "default",
+        "--frames",
+        2,
+        "--out",
+        tmp_path / "a.npz",
+    )
     assert "through the cloth" not in pb4u(*flags).err
 
     def through(watch: LimbWatch, t: int, cloth: np.ndarray, body: np.ndarray) -> np.ndarray:

@@ -30,7 +30,7 @@ def test_one_material_for_all_faces_is_that_material_alone() -> None:
     garment = sheet(3, 3, material=STIFF)
     named = replace(garment, materials=(SOFT, STIFF), face_material=np.ones(len(garment.faces), dtype=np.int64))
     one, other = pack([garment]), pack([named])
-    for name in ("membrane", "thickness", "bending", "friction", "vertex_masses"):
+    for name in ("membrane", "bending", "friction", "vertex_masses"):
         torch.testing.assert_close(getattr(other, name), getattr(one, name), rtol=1e-12, atol=0.0)
 
 

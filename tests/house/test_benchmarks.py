@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import time
 from argparse import Namespace
 from importlib import import_module
 from pathlib import Path
 
-import numpy as np
 import pytest
-from benchmarks import comparison, fabrics, self_contact, training
+from benchmarks import comparison, self_contact, training
 from benchmarks.network import measure, on_a_body
 
 from pb4u.garment.library import garment_names
-from pb4u.garment.material import FABRICS
 from pb4u.motion.library import motion_names
 from pb4u.run import Run
 
@@ -46,24 +43,6 @@ def test_the_clips_in_contact_are_of_garments_and_motions_that_are_there() -> No
         assert {worn.garment for worn in run.garments} <= set(garment_names())
         assert run.motion in motion_names()
     assert [run.seed for run in clips["drawn"]] == list(range(20, 40))
-
-
-def test_a_disc_that_lies_flat_has_all_of_its_shadow() -> None:
-    garment = fabrics.disc(0.014, FABRICS["linen"])
-    assert garment.face_areas.sum() == pytest.approx(np.pi * fabrics.RADIUS**2, rel=0.01)
-    assert fabrics.shadow(garment.vertices, garment.faces) == pytest.approx(garment.face_areas.sum(), rel=0.01)
-    held = np.hypot(*garment.vertices[garment.pinned][:, [0, 2]].T)
-    assert held.max() == pytest.approx(fabrics.HELD)
-
-
-@pytest.mark.slow
-def test_a_jersey_drapes_as_knits_do_and_foam_stands() -> None:
-    band = json.loads(fabrics.BANDS.read_text())["cotton-jersey"]
-    knit, foam = (fabrics.draped(FABRICS[name], 0.02, 2.0) for name in ("cotton-jersey", "neoprene"))
-    assert band["lowest"] - 8.0 < knit.coefficient < band["highest"] + 8.0
-    assert knit.folds > foam.folds
-    assert foam.coefficient > 80.0
-    assert knit.unsolved == foam.unsolved == 0
 
 
 def test_the_comparison_scenes_say_all_that_keeps_them_as_they_are() -> None:

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 _SUFFIXES = {"garment": ".obj", "body": ".obj", "motion": ".npz", "material": ".json"}
 """What each kind of asset is written as."""
 
+_PICTURES = (".png", ".jpg", ".jpeg")
+
 _WHAT = {
     "tshirt": "short sleeves, to the hips",
     "tanktop": "no sleeves, close, to the hips",
@@ -86,7 +88,8 @@ def catalogue() -> dict[str, list[dict[str, Any]]]:
     from dataclasses import asdict
 
     from pb4u.body.library import body_names
-    from pb4u.garment.library import LEVELS, garment_names
+    from pb4u.garment.cuts import CUTS
+    from pb4u.garment.library import LEVELS
     from pb4u.garment.material import BUILT_IN
     from pb4u.motion.library import motion_names
     from pb4u.simulation.models import model_descriptions
@@ -94,7 +97,15 @@ def catalogue() -> dict[str, list[dict[str, Any]]]:
     return {
         "bodies": [{"name": name, **_body_entries(name)} for name in body_names()],
         "motions": [{"name": name, "description": _WHAT[name]} for name in motion_names()],
-        "garments": [{"name": name, "description": _WHAT[name], "levels": dict(LEVELS)} for name in garment_names()],
+        "garments": [
+            {
+                "name": name,
+                "description": f"{_WHAT[name]}; of {cut.fabric}",
+                "material": cut.fabric,
+                "levels": dict(LEVELS),
+            }
+            for name, cut in CUTS.items()
+        ],
         "materials": [
             {"name": name, "description": _material_line(material), **asdict(material)}
             for name, material in BUILT_IN.items()
@@ -213,6 +224,57 @@ def _write_material(name: str, out: Path) -> dict[str, Any]:
 
     write_json(asdict(BUILT_IN[name]), str(out))
     return {}
+
+
+@group.command("swatches", cls=Verb)
+@verb()
+def swatches(
+    out: Path,
+    material: Annotated[list[str] | None, typer.Option(metavar="NAME|FILE")] = None,
+    edge: float = 14.0,
+    json: JsonFlag = None,
+) -> None:
+    """Drape a disc of each fabric over a smaller one, as a laboratory does, and draw them on one sheet.\f
+
+    Below each stands its drape coefficient, the share of what hangs over that its shadow covers, and what is published
+    of its class. A disc takes 10 to 60 seconds.
+
+    Args:
+        out: PNG or JPEG to write.
+        material: Built-in material or JSON file; repeatable. Default: all fabrics.
+        edge: Edge length of the disc's triangles [mm], 3 to 30: 14 is that of a garment of 11,000.
+        json: file for the result.
+
+    Raises:
+        InputError: there is no such material, or the file cannot be written or is no picture.
+    """
+    from pb4u.export.swatches import Swatch, write_swatches
+    from pb4u.garment.material import FABRICS, load_material
+    from pb4u.measures.drape_test import drape_test, published
+
+    if out.suffix.lower() not in _PICTURES:
+        raise InputError(f"Swatches are drawn as {' or '.join(_PICTURES)}; {out} ends otherwise.")
+    check_writable(out, "the swatches")
+    check_json_target(json)
+    made_of = {name: load_material(name) for name in material or FABRICS}
+    sheet, rows = [], []
+    with progress_bar("drape") as progress:
+        for done, (name, fabric) in enumerate(made_of.items(), start=1):
+            test, band = drape_test(fabric, 1e-3 * edge), published().get(name)
+            told = f"{test.coefficient:.0f} %" + (f", published {band.lowest:g} to {band.highest:g}" if band else "")
+            sheet.append(Swatch(test.draped, (Path(name).stem, told)))
+            rows.append(
+                {
+                    "material": name,
+                    "drape_coefficient": test.coefficient,
+                    "folds": test.folds,
+                    "unsolved_steps": test.unsolved,
+                    "published": band and band._asdict(),
+                }
+            )
+            progress(done, len(made_of))
+    write_swatches(sheet, out)
+    tell({"out": str(out), "edge": edge, "swatches": rows}, json, f"Wrote {out}")
 
 
 @group.command("pack", cls=Verb)

@@ -316,10 +316,10 @@ MATERIALS: dict[str, Material] = {
 }
 
 
-_DATA = Path(__file__).parent / "data"
+DATA = Path(__file__).parent / "data"
 
 #: Cloth with a grain, in SI units: measured where its source says so, else an estimate of its class.
-FABRICS: dict[str, Material] = {name: Material.of(record) for name, record in read_json(_DATA / "fabrics.json").items()}
+FABRICS: dict[str, Material] = {name: Material.of(record) for name, record in read_json(DATA / "fabrics.json").items()}
 
 #: All that is built in.
 BUILT_IN: dict[str, Material] = {**MATERIALS, **FABRICS}

@@ -203,7 +203,7 @@ class LimbWatch:
             frame: number of the frame.
             said: name of a garment -> triangles that are advised already; what is said here is added.
         """
-        if not _has_physics(self.header):
+        if not has_physics(self.header):
             return []
         sentences, contact = list[str](), self.header.metadata.get("contact", True)
         for garment in dict.fromkeys(self.needs[bone][0] for bone in bones):
@@ -228,7 +228,12 @@ class LimbWatch:
         return f"its triangles are small enough, so try {way}{arms}"
 
 
-def _has_physics(header: TrajectoryHeader) -> bool:
+def has_physics(header: TrajectoryHeader) -> bool:
+    """Whether a solver or a network moved the cloth, and not skinning alone.
+
+    Args:
+        header: of the trajectory.
+    """
     return bool(header.metadata.get("model") != "skinning")
 
 
@@ -289,7 +294,7 @@ def limbs_sentence(found: Sequence[dict[str, Any]], trajectory: Trajectory) -> s
     told = ", ".join(f"the {name} ({count})" for name, count in list(longest.items())[:4])
     more = f" and {len(longest) - 4} more" if len(longest) > 4 else ""
     through = f"Limbs have gone through the cloth from frame {first} on, in so many of {frames} frames: {told}{more}"
-    if not _has_physics(trajectory.header):
+    if not has_physics(trajectory.header):
         return f"{through}; skinning has no physics, --model quick-solver has."
     if not trajectory.header.metadata.get("contact", True):
         return f"{through}; nothing holds the cloth off: leave out --contact off."

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from pb4u.geometry.principal_stretch import deformation_gradients
+from pb4u.measures.limbs import has_physics
 from pb4u.measures.metrics import garments_of
 from pb4u.scene.packed import inverse_rest_shapes
 from pb4u.scene.trajectory import Trajectory
@@ -17,11 +18,13 @@ _TOLD_FROM = 0.01
 def overstretched_sentences(trajectory: Trajectory) -> list[str]:
     """A sentence for each garment of which, in some frame, more than 1 % is stretched to twice the limit of its cloth.
 
-    Stretch is that of the threads, along warp and weft. Cloth without a limit is not judged.
+    Stretch is that of the threads, along warp and weft. Cloth without a limit is not judged, nor is what skinning moves.
 
     Args:
         trajectory: frames as written.
     """
+    if not has_physics(trajectory.header):
+        return []
     said, first_vertex = [], 0
     for garment in garments_of(trajectory):
         rows = slice(first_vertex, first_vertex + len(garment.vertices))

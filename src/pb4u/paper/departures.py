@@ -52,6 +52,7 @@ def description(checkpoint: Checkpoint) -> dict[str, Any]:
             "hours": round(sum(stage.get("hours") or 0.0 for stage in stages), 2),
             "garments": details.get("garments", []),
             "triangles": [min(triangles), max(triangles)] if triangles else [],
+            "fabrics": {name: [float(f"{value:.3g}") for value in cloth] for name, cloth in checkpoint.fabrics.items()},
             "propagation_steps": [] if details.get("resolutions") == "unknown" else list(record.propagation_steps),
         },
         "departs_from_paper": departures(checkpoint),

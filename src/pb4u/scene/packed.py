@@ -40,7 +40,6 @@ class PackedGarments:
         membrane: (faces, 4) moduli c11 (weft), c22 (warp), c12 and c33 [N/m] along the axes of the rest shape.
         stiffening: (faces, 2) stretch of a thread beyond which it stiffens [1], and by how much for a unit of it [N/m].
         damping: (faces,) damping times [s].
-        thickness: (faces,) [m].
         edges: (edges, 2) int64.
         edge_lengths: (edges,) rest lengths [m].
         hinges: (hinges, 4) int64 edge v0 v1, opposite v2, opposite v3.
@@ -68,7 +67,6 @@ class PackedGarments:
     membrane: Tensor
     stiffening: Tensor
     damping: Tensor
-    thickness: Tensor
     edges: Tensor
     edge_lengths: Tensor
     hinges: Tensor
@@ -90,13 +88,16 @@ class PackedGarments:
 
     @property
     def lame_mu(self) -> Tensor:
-        """Second Lame parameter (faces,) [Pa] of the isotropic cloth that is nearest: what networks read."""
-        return nearest_isotropic(*self.membrane.unbind(1))[0] / self.thickness
+        """Second Lame parameter (faces,) [Pa] of the isotropic cloth that is nearest: what networks read.
+
+        All cloth that they are trained on is of one thickness, by which stiffness by length is divided here.
+        """
+        return nearest_isotropic(*self.membrane.unbind(1))[0] / Material.thickness
 
     @property
     def lame_lambda(self) -> Tensor:
-        """First Lame parameter (faces,) [Pa] of the isotropic cloth that is nearest: what networks read."""
-        return nearest_isotropic(*self.membrane.unbind(1))[1].clamp_min(0.0) / self.thickness
+        """First Lame parameter (faces,) [Pa] likewise."""
+        return nearest_isotropic(*self.membrane.unbind(1))[1].clamp_min(0.0) / Material.thickness
 
     @cached_property
     def stiffens(self) -> bool:
@@ -311,7 +312,6 @@ def pack(
         membrane=per_face("membrane"),
         stiffening=per_face("stiffening"),
         damping=per_face("damping_time"),
-        thickness=per_face("thickness"),
         edges=index([g.topology.edges for g in garments]),
         edge_lengths=real([g.edge_lengths for g in garments]),
         hinges=index([g.topology.hinges for g in garments]),

@@ -18,6 +18,7 @@ from torch.overrides import TorchFunctionMode
 
 from pb4u.errors import InputError, on_disk, warn
 from pb4u.garment.garment import Garment
+from pb4u.garment.material import Material
 from pb4u.io.atomic_file import replace_file
 from pb4u.io.reading_limits import error_text, parse_json
 from pb4u.network.acceleration_model import AccelerationModel, NetworkConfiguration, PreparedGarments
@@ -28,7 +29,9 @@ from pb4u.simulation.network_configuration import configuration_from_json, confi
 
 FORMAT_VERSION = 1
 SUFFIX = ".safetensors"
-RESOLUTION_TOLERANCE = 0.05
+RESOLUTION_TOLERANCE, FABRIC_TOLERANCE = 0.05, 0.05
+_CLOTH = {"density": "kg/m^2", "warp_stiffness": "N/m", "bending_stiffness": "N m"}
+"""What is told of the cloth of a training, and its unit."""
 
 
 @dataclass(frozen=True)
@@ -131,12 +134,44 @@ class Checkpoint:
             steps: its propagation steps; 0 for a method without them.
         """
         self.warn_of_resolution(garment)
+        self.warn_of_fabric(garment)
         fewest, most = self.record.propagation_steps
         if steps != 0 and not fewest <= steps <= most:
             warn(
                 f"{garment.name}: {steps} propagation steps, where the weights {self.name} were trained with "
                 f"{fewest} to {most}; expect over-stretched or unsteady cloth.",
             )
+
+    @property
+    def fabrics(self) -> dict[str, tuple[float, float]]:
+        """Least and most of what the cloth of its training had: weight by area, stiffness along threads, bending.
+
+        Under the names of `Material`'s members [kg/m^2], [N/m], [N m]; the cloth was isotropic.
+        """
+        cloth = self.configuration.layout.material_range
+        softest, stiffest = (
+            Material.isotropic(*numbers)
+            for numbers in zip(cloth.density, cloth.lame_mu, cloth.lame_lambda, cloth.bending, strict=True)
+        )
+        return {name: (getattr(softest, name), getattr(stiffest, name)) for name in _CLOTH}
+
+    def warn_of_fabric(self, garment: Garment) -> None:
+        """Warn where a garment is of other cloth than those in training, and say what to expect.
+
+        Args:
+            garment: the garment to simulate.
+        """
+        for material in garment.materials or (garment.material,):
+            nearest = material.without_grain
+            for name, (least, most) in self.fabrics.items():
+                if least * (1 - FABRIC_TOLERANCE) <= (value := getattr(nearest, name)) <= most * (1 + FABRIC_TOLERANCE):
+                    continue
+                warn(
+                    f"{garment.name}: its {name.replace('_', ' ')} of {value:.3g} {_CLOTH[name]} lies outside of the "
+                    f"{least:.3g} to {most:.3g} that the weights {self.name} have seen; expect cloth that stretches or "
+                    "trembles, or give --material default, or --refine 5 for some of the solver after each step.",
+                )
+                break
 
     def warn_of_resolution(self, garment: Garment) -> None:
         """Warn where a garment is finer or coarser than those in training, and say what to expect.

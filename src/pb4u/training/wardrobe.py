@@ -127,7 +127,6 @@ def _in_material(packed: PackedGarments, material: Material) -> PackedGarments:
         packed,
         membrane=packed.membrane.new_tensor(material.membrane).expand_as(packed.membrane),
         stiffening=packed.stiffening.new_tensor(material.stiffening).expand_as(packed.stiffening),
-        thickness=torch.full_like(packed.thickness, material.thickness),
         bending=torch.full_like(packed.bending, material.bending),
         friction=torch.full_like(packed.friction, material.friction),
         vertex_masses=material.density * packed.vertex_areas,
