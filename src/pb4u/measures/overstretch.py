@@ -18,7 +18,7 @@ _TOLD_FROM = 0.01
 def overstretched_sentences(trajectory: Trajectory) -> list[str]:
     """A sentence for each garment of which, in some frame, more than 1 % is stretched to twice the limit of its cloth.
 
-    Stretch is that of the threads, along warp and weft. Cloth without a limit is not judged, nor is what skinning moves.
+    Stretch is that of the threads, along warp and weft. Cloth without a limit is not judged, nor what skinning moves.
 
     Args:
         trajectory: frames as written.
