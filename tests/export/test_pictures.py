@@ -122,6 +122,15 @@ def test_the_whole_figure_is_in_the_picture_from_every_side(
         )
 
 
+def test_cloth_that_is_drawn_without_its_body_fills_the_picture(trajectory: Trajectory) -> None:
+    view = View(120, 120, show_body=False, background=(0.0, 0.0, 0.0))
+    (picture,) = render(trajectory, [0], view)
+    rows, columns = (np.flatnonzero((picture.max(axis=2) > 40).any(axis=axis)) for axis in (1, 0))
+    assert max(np.ptp(rows), np.ptp(columns)) > 0.75 * 120
+    assert rows.min() > 0
+    assert rows.max() < 119
+
+
 @pytest.fixture
 def long_figure(trajectory: Trajectory) -> Trajectory:
     """The same with cloth and body drawn out to 2.4 m along z, as of one who lies or lunges."""

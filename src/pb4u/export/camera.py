@@ -34,19 +34,24 @@ class Camera:
         frames: numbers of the frames that will be drawn.
 
     Attributes:
-        middle: height [m] at which it looks: halfway from the ground to the highest point of all frames.
+        middle: height [m] at which it looks: halfway from the ground, or from the lowest point of cloth alone, to the
+            highest point of all frames.
         distance: from what it looks at [m].
     """
 
     def __init__(self, trajectory: Trajectory, view: View, frames: Sequence[int]) -> None:
         self._trajectory, self._view = trajectory, view
-        self.middle = 0.5 * max((float(self._visible(t)[0][:, 1].max(initial=0.0)) for t in frames), default=0.0)
+        heights = [points[:, 1] for t in frames if len(points := self._visible(t)[0])]
+        stands = view.show_body and trajectory.body_positions.shape[1] > 0
+        low = 0.0 if stands else min((float(each.min()) for each in heights), default=0.0)
+        self._half_height = 0.5 * (max((float(each.max()) for each in heights), default=0.0) - low)
+        self.middle = low + self._half_height
         self.distance = max((self._needed_distance(t) for t in frames), default=0.0) * _MARGIN
 
     def _visible(self, t: int) -> tuple[np.ndarray, np.ndarray]:
         """Points (vertices, 3) [m] that the picture of frame t should hold, seen from its `foot`; which are cloth."""
         cloth, body = self._trajectory.positions[t], self._trajectory.body_positions[t]
-        points = np.concatenate([cloth, body])
+        points = np.concatenate([cloth, body]) if self._view.show_body else cloth
         finite = np.isfinite(points).all(axis=1)
         points = np.where(finite[:, None], points, 0.0) - self.foot(t)
         near = (np.linalg.norm(points[:, [0, 2]], axis=1) < _REACH) & (points[:, 1] < _TOP) & finite
@@ -94,7 +99,7 @@ class Camera:
 
         low, high = np.quantile(points, (0.25, 0.75), axis=0) if len(points) else np.zeros((2, 3))
         whole = needed(np.maximum(heights, sides))
-        if self.middle < (high - low)[[0, 2]].max():
+        if self._half_height < (high - low)[[0, 2]].max():
             return whole
         return min(whole, max(needed(heights) / _FILLED, needed(np.where(cloth, sides, 0.0))))
 
