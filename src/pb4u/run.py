@@ -171,8 +171,10 @@ class Run:
         rest_shape: Rest shape of built-in garments: flat panels with a grain, or moulded, as they sit on the body.
         friction_law: Friction on bodies and on the ground: coulomb, by what presses and alike in all directions; or the
             paper's, which resists sliding down by a hundredth of that. auto is coulomb wherever the solver takes part.
-        time_integration: Rule of integration in time.
-        air: Air that presses on moving cloth and drags it; needed for wind.
+        substeps: Steps of the solver in a frame, for what moves fast. A network keeps the step that it was trained on.
+        time_integration: Rule of integration in time. auto is bdf2, which keeps a swing's height, wherever the solver
+            takes part, else implicit-euler.
+        air: Air that presses on moving cloth and drags it. auto is on wherever the solver takes part, and with wind.
         environment: Gravity, air and ground; flags and entries of jobs files are the fields of `Environment`.
 
     Raises:
@@ -215,8 +217,9 @@ class Run:
     omitted: Annotated[str | Path | None, Flag(RESEARCH, "FILE", is_file=True)] = None
     rest_shape: Annotated[Literal["flat", "moulded"], Flag(SCENE, "NAME")] = "flat"
     friction_law: Annotated[Literal["auto", "coulomb", "paper"], _model("NAME", applies_to=STEPS)] = "auto"
-    time_integration: Annotated[Literal["implicit-euler", "bdf2"], _model("NAME", applies_to=STEPS)] = "implicit-euler"
-    air: Annotated[bool, _model(applies_to=STEPS)] = False
+    substeps: Annotated[int, _model("N", least=1, most=100, applies_to=STEPS)] = 1
+    time_integration: Annotated[Literal["auto", "implicit-euler", "bdf2"], _model("NAME", applies_to=STEPS)] = "auto"
+    air: Annotated[Literal["auto", "on", "off"], _model("NAME", applies_to=STEPS)] = "auto"
     environment: Annotated[Environment, Flag(SCENE, applies_to=STEPS)] = USUAL
 
     def __post_init__(self) -> None:
@@ -230,8 +233,8 @@ class Run:
         _check(self)
         if not isinstance(self.environment, Environment):
             raise InputError(f"The environment of a run is a pb4u.Environment, not {self.environment!r}.")
-        if any(self.environment.wind) and not self.air:
-            raise InputError("wind moves nothing where there is no air: give air = true too (--air on).")
+        if any(self.environment.wind) and self.air == "off":
+            raise InputError('wind moves nothing where there is no air: give air = "on" too (--air on).')
         if not self.garments:
             raise InputError("A scene has at least one garment; none is given.")
         if len(self.garments) > MOST_GARMENTS:

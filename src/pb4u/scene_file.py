@@ -22,7 +22,12 @@ from pb4u.run import SECTIONS, Run, WornGarment, entries, located, names_file
 FORMAT_VERSION = 1
 """Version of the scene files that are read and written."""
 
-OF_BEFORE: Mapping[str, Any] = {"rest_shape": "moulded", "friction_law": "paper"}
+OF_BEFORE: Mapping[str, Any] = {
+    "rest_shape": "moulded",
+    "friction_law": "paper",
+    "time_integration": "implicit-euler",
+    "air": "off",
+}
 """What files mean that leave these entries out: what there was before there was a choice, whatever the default is."""
 
 _HEADING = """\

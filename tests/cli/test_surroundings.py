@@ -30,7 +30,7 @@ def napkin(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (["--wind", "0,0,3"], "wind moves nothing where there is no air"),
+        (["--wind", "0,0,3", "--air", "off"], "wind moves nothing where there is no air"),
         (["--gravity", "0,9"], "it takes three numbers X,Y,Z such as 0,-1.62,0; not '0,9'"),
         (["--gravity", "0,nan,0"], "--gravity must be three finite numbers"),
         (["--air-density", "-1"], "--air-density must be a number, 0 or more, not -1.0"),

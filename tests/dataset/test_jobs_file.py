@@ -49,6 +49,7 @@ def test_files_of_before_mean_what_they_meant(tmp_path: Path) -> None:
     )
     assert (Run().friction_law, Run.open(tmp_path / "scene.toml").friction_law) == ("auto", "paper")
     assert [run.friction_law for run in (plain, opened, chosen)] == ["paper", "paper", "coulomb"]
+    assert {(run.time_integration, run.air) for run in (plain, opened, chosen)} == {("implicit-euler", "off")}
 
 
 def test_lists_within_lists_are_one_for_each_garment(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def test_the_comparison_scenes_say_all_that_keeps_them_as_they_are() -> None:
         text, run = scene.read_text(), Run.open(scene)
         assert [entry for entry in comparison.LATER if f"\n{entry} = " not in text] == []
         assert (run.rest_shape, run.friction_law, run.time_integration, run.air) == (
-            "moulded", "paper", "implicit-euler", False,
+            "moulded", "paper", "implicit-euler", "off",
         )  # fmt: skip
         assert all(worn.material == "default" and worn.triangles == 2500 for worn in run.garments)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import torch
 from ball_scene import Ball, ball_scene, sheet
 
 from pb4u.collision.crossings import crossings, self_crossings
+from pb4u.environment import Environment
 from pb4u.errors import InputError, InputWarning, Pb4uError
 from pb4u.garment.dressing import AttachedPlacement
 from pb4u.measures.metrics import measure
@@ -22,7 +24,7 @@ from pb4u.scene.scene import DressedGarment
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.first_frame import AsPlaced, OneLongStep, Settled
-from pb4u.simulation.models import load_simulator
+from pb4u.simulation.models import load_simulator, simulator_of
 from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.run_simulation import frame_count, roll_out
 from pb4u.simulation.simulator import RunRecord, SkinningSimulator
@@ -67,6 +69,24 @@ def test_friction_is_coulombs_where_the_solver_takes_part(model: str, options: d
     simulator = load_simulator(model, **options)
     assert simulator.settings()["friction_law"] == law
     assert simulator.header(ball_scene(2)).metadata["friction_law"] == law
+
+
+@pytest.mark.parametrize(
+    ("model", "options", "laws"),
+    [
+        ("quick-solver", {}, ("bdf2", True)),
+        ("pb4u-small", {}, ("bdf2", True)),
+        ("pb4u-small", {"refine": 0}, ("implicit-euler", False)),
+        ("pb4u-small", {"refine": 0, "environment": Environment(wind=(0.0, 0.0, 2.0))}, ("implicit-euler", True)),
+        ("solver", {"air": "off", "time_integration": "implicit-euler"}, ("implicit-euler", False)),
+    ],
+)
+def test_cloth_swings_in_air_where_the_solver_takes_part(
+    model: str, options: dict[str, Any], laws: tuple[str, bool]
+) -> None:
+    """And a network alone has the laws that it learnt, but for a wind that is asked for."""
+    settings = simulator_of(Run(model=model, **options)).settings()
+    assert (settings["time_integration"], settings["air"]) == laws
 
 
 def test_lead_in_is_simulated_but_not_written() -> None:

@@ -110,6 +110,8 @@ def released_entries(method: str) -> dict[str, Any]:
         "self_contact": False,
         "precision": "float32",
         "friction_law": "paper",
+        "time_integration": "implicit-euler",
+        "air": "off",
     }
 
 

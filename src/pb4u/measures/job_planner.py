@@ -20,7 +20,7 @@ from pb4u.run import Run
 from pb4u.scene.moving_body import DEFAULT_MOTION, load_body_of
 from pb4u.scene_file import named_file
 from pb4u.simulation.checkpoint import weights_file
-from pb4u.simulation.models import chosen_friction_law, chosen_model, simulator_of
+from pb4u.simulation.models import chosen_laws, chosen_model, simulator_of
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
 
 
@@ -67,8 +67,7 @@ class JobPlanner:
         """
         self._require_names(run)
         model = self.model(run)
-        law = chosen_friction_law(run)
-        resolved = run.with_entries({"model": model.name, "device": model.device, "friction_law": law})
+        resolved = run.with_entries({"model": model.name, "device": model.device, **chosen_laws(run)})
         if run.motion is None and run.body is not None and self._needs_motion(str(run.body), run.clip, run.body_parts):
             # Named, so that its label says what the body performs.
             resolved = replace(resolved, motion=DEFAULT_MOTION)

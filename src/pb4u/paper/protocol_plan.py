@@ -42,6 +42,8 @@ ALONE: dict[str, Any] = {
     "self_contact": False,
     "precision": "float32",
     "friction_law": "paper",
+    "time_integration": "implicit-euler",
+    "air": "off",
 }
 """Options of a run by a method alone; the energies that tables compare do not know contact between cloths."""
 

@@ -37,6 +37,10 @@ CONTROLS: Registry[Callable[..., Simulator]] = Registry("control")
 """What makes a control by its name, the network that it stands beside, its passes and the options of a simulator."""
 TRAINABLE: Registry[str] = Registry("trainable network")
 """Advice, as part of a sentence, on how to train a network that has a name but no weights."""
+_OF_THE_SOLVER = {"friction_law": "coulomb", "time_integration": "bdf2", "air": "on"}
+_OF_NETWORKS = {"friction_law": "paper", "time_integration": "implicit-euler", "air": "off"}
+"""Laws of a run in which the solver takes part, and of one in which it does not, where the run leaves them open."""
+
 _BEST = "best.safetensors"
 _TRAINING_STATE = "pb4u_training"
 """Key in the header of a training's last.safetensors; `training`, which writes it, lies above this package."""
@@ -95,15 +99,17 @@ def chosen_model(run: Run) -> str:
     return default_model(run.refine) if str(run.model) == "auto" else str(run.model)
 
 
-def chosen_friction_law(run: Run) -> str:
-    """Law of friction that a run names, or leaves open: then that of the paper for a network alone, which learnt it.
+def chosen_laws(run: Run) -> dict[str, str]:
+    """Laws of motion that a run names or leaves open, by option: what a network alone leaves open it has learnt.
 
     Args:
         run: whose scene is not looked at.
     """
-    if run.friction_law != "auto":
-        return run.friction_law
-    return "coulomb" if _solves(run) else "paper"
+    laws = _OF_THE_SOLVER if _solves(run) else _OF_NETWORKS
+    if any(run.environment.wind):
+        laws = {**laws, "air": "on"}
+    given = {name: getattr(run, name) for name in laws}
+    return {name: laws[name] if value == "auto" else value for name, value in given.items()}
 
 
 def _solves(run: Run) -> bool:
@@ -182,10 +188,11 @@ def simulator_of(run: Run) -> Simulator:
     keep_freed_memory()
     model = chosen_model(run)
     refuse_useless(run)
-    potential = IncrementalPotential().with_friction(chosen_friction_law(run))
+    laws = chosen_laws(run)
+    potential = IncrementalPotential().with_friction(laws["friction_law"])
     for term in DAMPING:
         potential = potential.with_term(term)
-    if run.air:
+    if laws["air"] == "on":
         potential = potential.with_term(Air())
     if run.self_contact is not False:
         potential = potential.with_self_contact(bodies=run.contact)
@@ -196,7 +203,7 @@ def simulator_of(run: Run) -> Simulator:
         "contact": contact,
         "first_frame": FIRST_FRAMES.named(first),
         "potential": potential,
-        "integrator": INTEGRATORS[run.time_integration],
+        "integrator": INTEGRATORS[laws["time_integration"]],
     }
     if model == "skinning":
         return SkinningSimulator()

@@ -67,11 +67,19 @@ def simulated_fps(run: Run, simulator: Simulator) -> float:
         run: what is simulated.
         simulator: what `simulator_of` gives for it.
 
+    Raises:
+        InputError: a step is to be shorter than the one that a network was trained on.
+
     Warns:
-        InputWarning: they are others than the run's.
+        InputWarning: they are those of a network, and others than the run's.
     """
-    simulated = simulator.fps or run.fps
-    if not math.isclose(simulated, run.fps):
+    if run.substeps > 1 and simulator.fps is not None:
+        raise InputError(
+            f"The network {simulator.name} keeps the step that it was trained on, 1/{simulator.fps:g} s: leave "
+            "--substeps out, or take --model solver or quick-solver."
+        )
+    simulated = simulator.fps or run.fps * run.substeps
+    if simulator.fps is not None and not math.isclose(simulated, run.fps):
         sentence = f"{simulator.name} runs at {simulated:g} frames per second; the result is resampled to {run.fps:g}."
         warn(sentence, InputNote)
     return simulated
@@ -129,9 +137,15 @@ def roll_out(
     if is_resampled:
         led = round(scene.lead_in * run.fps / scene.fps)
         header = replace(header, metadata={**header.metadata, "lead_in": led})
+    # Of several steps in a frame the last is kept; between others frames are interpolated.
+    steps = round(scene.fps / run.fps)
+    is_interpolated = not math.isclose(scene.fps, max(steps, 1) * run.fps)
+    if not is_interpolated:
+        header = replace(header, fps=run.fps)
     try:
-        for frame in simulator.written_frames(scene, record, progress, simulated):
-            rows.append(frame)
+        for number, frame in enumerate(simulator.written_frames(scene, record, progress, simulated)):
+            if is_interpolated or number % steps == 0:
+                rows.append(frame)
             if seen is not None:
                 seen(frame)
     except KeyboardInterrupt as error:
@@ -142,10 +156,11 @@ def roll_out(
     if not rows:
         raise record.lost_early()
     trajectory = Trajectory.collect(header, rows)
-    if is_resampled:
+    if is_interpolated:
         trajectory = resampled(trajectory, run.fps, run.written_frames)
         if header.metadata.get("self_contact"):
             trajectory = _untangled(trajectory, scene)
+    if is_resampled:
         if record.failed_at is not None:
             record.failed_at = trajectory.frame_count
     if path is not None:
