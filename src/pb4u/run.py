@@ -64,6 +64,9 @@ class WornGarment:
         pins: Vertices that follow the body: none, waist (highest border), collar (uppermost 4 cm of a border), hem
             (lowest border), loop:N (of the borders by their vertices, loop:0 the one with the most), a file of indices
             or a list. Default: the garment's own.
+        pin_stiffness: Stiffness of the springs that hold its pins [N/m], all together: a waistband of 300 gives way by
+            centimetres. Default: pins hold exactly.
+        pins_until: Frame, counted from 0 as frames are written, from which its pins let go.
         triangles: Triangles to simulate. Default: the file's own, or 2,500 of a built-in garment.
         texture: Image laid on the garment by its UVs, or from front and back where it has none. Default: the images
             and colours of its own file (OBJ with MTL, glTF).
@@ -82,6 +85,8 @@ class WornGarment:
         Flag(GARMENT, "[NAME[.PART]=]MATERIAL", is_file=True, form="Material", by_part=True),
     ] = field(default=None, hash=False)
     pins: Annotated[str | Path | Sequence[int] | None, Flag(GARMENT, "[NAME=]PINS", is_file=True, form="Pins")] = None
+    pin_stiffness: Annotated[float | None, Flag(GARMENT, "[NAME=]K", least=1, most=10_000_000)] = None
+    pins_until: Annotated[int | None, Flag(GARMENT, "[NAME=]FRAME", least=0)] = None
     triangles: Annotated[int | None, Flag(GARMENT, "[NAME=]N", label="triangles_asked", form="Triangles")] = None
     texture: Annotated[str | Path | None, Flag(GARMENT, "[NAME=]FILE", is_file=True)] = None
     tacks: Annotated[Sequence[tuple[int, int]], Flag(GARMENT, "[NAME=]A:B")] = ()
@@ -286,7 +291,11 @@ class Run:
         if math.isclose(fps, self.fps):
             return replace(self, fps=fps)
         lead_in = None if self.lead_in is None else round(self.lead_in * fps / self.fps)
-        run = replace(self, fps=fps, lead_in=lead_in)
+        worn = tuple(
+            each if each.pins_until is None else replace(each, pins_until=round(each.pins_until * fps / self.fps))
+            for each in self.garments
+        )
+        run = replace(self, garments=worn, fps=fps, lead_in=lead_in)
         if self.written_frames is None:
             return run
         # All that is written, a kept lead-in included, is rounded up once.

@@ -49,6 +49,19 @@ class GarmentValue(NamedTuple):
             raise typer.BadParameter(f"it takes a whole number or NAME=N; {text!r} is neither.") from None
 
     @classmethod
+    def parse_number(cls, text: str) -> GarmentValue:
+        """Value from `X` or `NAME=X`.
+
+        Raises:
+            BadParameter: X is no number.
+        """
+        name, value = cls.parse(text)
+        try:
+            return cls(name, float(value))
+        except ValueError:
+            raise typer.BadParameter(f"it takes a number or NAME=X; {text!r} is neither.") from None
+
+    @classmethod
     def parse_pair(cls, text: str) -> GarmentValue:
         """Value from `A:B` or `NAME=A:B`.
 
@@ -130,7 +143,7 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
     named = given.get("garment")
     worn = [WornGarment(name).name for name in named] if named else [each.name for each in described_run.garments]
     of_parts = _of_parts(given, worn)
-    for name in ("material", "pins", "triangles", "texture", "grain"):
+    for name in ("material", "pins", "pin_stiffness", "pins_until", "triangles", "texture", "grain"):
         if name in given:
             given[name] = _one_each(name, given[name], worn)
     for name, number, part, value in of_parts:
@@ -181,8 +194,12 @@ def _garment_flag(entry: Entry) -> tuple[str, Any]:
         return "tack", Annotated[list[GarmentValue] | None, option(entry, " Repeatable.", GarmentValue.parse_pair)]
     if entry.name == "garment":
         return entry.name, Annotated[list[str] | None, option(entry, " Repeatable, inner first.")]
-    parsers = {"triangles": GarmentValue.parse_count, "grain": GarmentValue.parse_direction}
-    parser = parsers.get(entry.name, GarmentValue.parse)
+    parsers = {
+        "whole": GarmentValue.parse_count,
+        "number": GarmentValue.parse_number,
+        "vector": GarmentValue.parse_direction,
+    }
+    parser = parsers.get(entry.kind, GarmentValue.parse)
     more = " Once for all garments, once a garment in their order, or as NAME=VALUE."
     return entry.name, Annotated[list[GarmentValue] | None, option(entry, more, parser)]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -75,6 +76,19 @@ class GarmentSkinning:
         )
 
 
+@dataclass(frozen=True)
+class PinSprings:
+    """Springs between the pins of a garment and where skinning puts them.
+
+    Args:
+        stiffness: of all of them together [N/m], so that it means the same at any number of triangles.
+        until: when they let go [s], since the simulation began.
+    """
+
+    stiffness: float
+    until: float = math.inf
+
+
 @dataclass(frozen=True, eq=False)
 class Garment:
     """A single-layer triangle mesh in its rest shape, worn by a body in its rest pose.
@@ -100,6 +114,7 @@ class Garment:
             of their first UV points.
         materials: cloths of its parts; left out, `material` alone.
         face_material: (faces,) int64 which of the `materials` each face is made of; None where there is one at most.
+        springs: on which its pins are held; None where they hold exactly, and always.
 
     Raises:
         InputError: an array has another shape, or holds what cannot be used. Lists are taken for arrays.
@@ -122,6 +137,7 @@ class Garment:
     panels: tuple[str, ...] = ()
     materials: tuple[Material, ...] = ()
     face_material: np.ndarray | None = None
+    springs: PinSprings | None = None
 
     def __post_init__(self) -> None:
         owner = f"garment {self.name}"

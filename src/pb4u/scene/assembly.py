@@ -17,7 +17,7 @@ from pb4u.errors import InputError, InputNote, refuse_unknown, warn
 from pb4u.garment.corrected_placement import CorrectedPlacement
 from pb4u.garment.dressing import AttachedPlacement, Placement, PrescribedPlacement, SkinnedPlacement
 from pb4u.garment.fit import RestBody
-from pb4u.garment.garment import Garment
+from pb4u.garment.garment import Garment, PinSprings
 from pb4u.garment.layering import layered
 from pb4u.motion.motion import Motion
 from pb4u.options import NONE
@@ -38,6 +38,10 @@ _EDGE_OF_A_FOLD = 1.5
 Curvature of a walking T-shirt of silk with edges of 2.5, 1.6 and 1.2 bending lengths: 23, 30 and 37 /m; of poplin with
 1.6 and 0.8: 23 and 31 /m. With soft threads and the same bending silk has 23, 32 and 37 /m.
 """
+
+_FIRM = 2e4
+"""Stiffness [N/m] of the springs of pins that let go and are not said to give way: under a coat they do by half a
+millimetre."""
 
 GarmentChoice: TypeAlias = str | Path | Garment | WornGarment
 
@@ -101,6 +105,9 @@ def build_scene(run: Run, written_fps: float | None = None) -> Scene:
     collider, notes, kept = performed.body, performed.notes, run.led_frames if run.keep_lead_in else 0
     frames, lead_in = kept + performed.frames, run.led_frames - kept
     garments, specified = load_garments(run.garments, body, run.as_recorded, run.rest_shape)
+    garments = [
+        _on_springs(each, worn, frames, lead_in, run.fps) for each, worn in zip(garments, specified, strict=True)
+    ]
     places: Sequence[np.ndarray | None] = (None,) * len(garments)
     if body is not None and len(garments) > 1:
         places = layered(garments, RestBody.of(body))
@@ -134,6 +141,18 @@ def build_scene(run: Run, written_fps: float | None = None) -> Scene:
         },
         notes=notes,
     )
+
+
+def _on_springs(garment: Garment, worn: WornGarment, frames: int, lead_in: int, fps: float) -> Garment:
+    """The garment with its pins on springs where they are to give way, or to let go."""
+    if worn.pin_stiffness is None and worn.pins_until is None:
+        return garment
+    if not garment.pinned.any():
+        raise InputError(f"Nothing pins {garment.name}, so its pins can neither give way nor let go; give --pins too.")
+    if worn.pins_until is not None and worn.pins_until >= frames:
+        raise InputError(f"The pins of {garment.name} cannot let go at frame {worn.pins_until}: the last is {frames - 1}.")
+    until = math.inf if worn.pins_until is None else (lead_in + worn.pins_until) / fps
+    return replace(garment, springs=PinSprings(worn.pin_stiffness or _FIRM, until))
 
 
 def _require_above(ground: float | None, garments: Sequence[Garment]) -> None:

@@ -49,7 +49,9 @@ class PackedGarments:
         friction: (vertices,) coefficient of friction on skin and ground.
         vertex_masses: (vertices,) [kg].
         vertex_areas: (vertices,) [m^2].
-        pinned: (vertices,) bool.
+        pinned: (vertices,) bool; those on springs are not.
+        pin_stiffness: (vertices,) [N/m] of the springs of those that are pinned on springs, 0 of others.
+        pinned_until: (vertices,) [s] when these let go.
         vertex_garment: (vertices,) int64 garment of each row, ascending.
         face_garment: (faces,) int64, likewise.
         hinge_garment: (hinges,) int64, likewise.
@@ -77,6 +79,8 @@ class PackedGarments:
     vertex_masses: Tensor
     vertex_areas: Tensor
     pinned: Tensor
+    pin_stiffness: Tensor
+    pinned_until: Tensor
     vertex_garment: Tensor
     face_garment: Tensor
     hinge_garment: Tensor
@@ -244,6 +248,13 @@ class PackedGarments:
         return self.rest_positions.device
 
 
+def _pin_stiffness(garment: Garment) -> np.ndarray:
+    """Stiffness (vertices,) [N/m] of the springs of its pins, which share that of all."""
+    if garment.springs is None:
+        return np.zeros(len(garment.vertices))
+    return garment.pinned * (garment.springs.stiffness / max(int(garment.pinned.sum()), 1))
+
+
 def inverse_rest_shapes(corners: np.ndarray) -> np.ndarray:
     """Inverses (faces, 2, 2) [1/m] of the rest triangles' edge matrices, edges from corner 0 in columns.
 
@@ -321,7 +332,9 @@ def pack(
         friction=real([_mean_at_vertices(g, g.of_faces("friction")) for g in garments]),
         vertex_masses=real([g.vertex_masses for g in garments]),
         vertex_areas=real([g.vertex_areas for g in garments]),
-        pinned=torch.as_tensor(np.concatenate([g.pinned for g in garments]), device=device),
+        pinned=torch.as_tensor(np.concatenate([g.pinned & (g.springs is None) for g in garments]), device=device),
+        pin_stiffness=real([_pin_stiffness(g) for g in garments]),
+        pinned_until=real([np.full(len(g.vertices), g.springs.until if g.springs else np.inf) for g in garments]),
         vertex_garment=owner([len(g.vertices) for g in garments]),
         face_garment=owner([len(g.faces) for g in garments]),
         hinge_garment=owner([len(g.topology.hinges) for g in garments]),
