@@ -150,7 +150,9 @@ def _on_springs(garment: Garment, worn: WornGarment, frames: int, lead_in: int, 
     if not garment.pinned.any():
         raise InputError(f"Nothing pins {garment.name}, so its pins can neither give way nor let go; give --pins too.")
     if worn.pins_until is not None and worn.pins_until >= frames:
-        raise InputError(f"The pins of {garment.name} cannot let go at frame {worn.pins_until}: the last is {frames - 1}.")
+        raise InputError(
+            f"The pins of {garment.name} cannot let go at frame {worn.pins_until}: the last is {frames - 1}."
+        )
     until = math.inf if worn.pins_until is None else (lead_in + worn.pins_until) / fps
     return replace(garment, springs=PinSprings(worn.pin_stiffness or _FIRM, until))
 

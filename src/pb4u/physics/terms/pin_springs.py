@@ -33,9 +33,7 @@ class PinSprings(Inertia):
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         garments, away = step.garments, x - _places(step)
-        return sum_by_garment(
-            0.5 * _stiffness(step) * dot(away, away), garments.vertex_garment, garments.garment_count
-        )
+        return sum_by_garment(0.5 * _stiffness(step) * dot(away, away), garments.vertex_garment, garments.garment_count)
 
     def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
         records = (vertex_record(step.garments, as_float64(_stiffness(step)), as_float64(_places(step))),)
