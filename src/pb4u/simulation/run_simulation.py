@@ -160,9 +160,8 @@ def roll_out(
         trajectory = resampled(trajectory, run.fps, run.written_frames)
         if header.metadata.get("self_contact"):
             trajectory = _untangled(trajectory, scene)
-    if is_resampled:
-        if record.failed_at is not None:
-            record.failed_at = trajectory.frame_count
+    if is_resampled and record.failed_at is not None:
+        record.failed_at = trajectory.frame_count
     if path is not None:
         trajectory.save(path)
     return trajectory
