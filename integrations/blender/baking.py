@@ -81,6 +81,33 @@ def metres_per_unit(scene: bpy.types.Scene) -> float:
     return float(scene.unit_settings.scale_length)
 
 
+def gravity(scene: bpy.types.Scene) -> list[float]:
+    """Gravity of the scene [m/s^2], Y up; none where it is turned off."""
+    if not scene.use_gravity:
+        return [0.0, 0.0, 0.0]
+    # Metres whatever the scene's unit: artists who model in centimetres leave it at 9.81.
+    return to_simulation(np.array(scene.gravity), 1.0).tolist()
+
+
+def wind(scene: bpy.types.Scene) -> dict[str, list[float] | int]:
+    """Wind of the scene's wind fields together: its velocity [m/s], Y up, and a seed of gusts where one has noise.
+
+    A field blows along its own Z, everywhere, and its strength is taken for metres a second; how it falls off with
+    distance is not. Empty where no field blows.
+    """
+    blown, gusts = np.zeros(3), None
+    for each in scene.objects:
+        field = each.field
+        if field is None or field.type != "WIND" or not field.strength or each.hide_render:
+            continue
+        blown += np.array(each.matrix_world.to_3x3().normalized().col[2]) * field.strength
+        if field.noise:
+            gusts = int(field.seed)
+    if not blown.any():
+        return {}
+    return {"wind": to_simulation(blown, 1.0).tolist(), **({} if gusts is None else {"gusts": gusts})}
+
+
 def frame_rate(scene: bpy.types.Scene) -> float:
     """Frames per second [1/s] of the scene."""
     return scene.render.fps / scene.render.fps_base

@@ -109,8 +109,9 @@ def prepare(context: bpy.types.Context) -> PreparedRun:
                 "fps": baking.frame_rate(scene),
                 "lead_in": settings.lead_in,
             },
-            [entry_values(entries[each], written) for each, written in zip(objects, files, strict=True)],
+            [entry_values(entries[each], written, frames[0]) for each, written in zip(objects, files, strict=True)],
             run,
+            {"gravity": baking.gravity(scene), **baking.wind(scene)},
         )
         results = [
             GarmentResult(

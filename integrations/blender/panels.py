@@ -51,6 +51,13 @@ class PB4U_PT_garments(_Panel):
         part.prop(entry, "triangles")
         if entry.object:
             box.prop_search(entry, "pins", entry.object, "vertex_groups")
+            if entry.pins:
+                for switch, value in (("springs", "pin_stiffness"), ("lets_go", "pins_until")):
+                    row = box.row()
+                    row.prop(entry, switch)
+                    part = row.row()
+                    part.enabled = getattr(entry, switch)
+                    part.prop(entry, value)
         box.prop(entry, "tucked")
 
 

@@ -42,6 +42,12 @@ class GarmentEntry(bpy.types.PropertyGroup):
     pins: bpy.props.StringProperty(
         name="Pins", description="Vertex group whose vertices, of a weight of 0.5 or more, follow the body"
     )
+    springs: bpy.props.BoolProperty(name="Give way", description="Hold the pins by springs; otherwise exactly")
+    pin_stiffness: bpy.props.FloatProperty(
+        name="Stiffness", description="Of the springs of all pins together [N/m]", default=300.0, min=1.0, max=1e7
+    )
+    lets_go: bpy.props.BoolProperty(name="Let go", description="Let the pins go at a frame")
+    pins_until: bpy.props.IntProperty(name="Frame", description="Of the scene, from which pins let go", default=50)
     tucked: bpy.props.BoolProperty(
         name="Tucked in", description="Goes into what is worn from the waist, such as trousers"
     )
@@ -98,18 +104,22 @@ class SceneSettings(bpy.types.PropertyGroup):
     running: bpy.props.BoolProperty(options={"SKIP_SAVE"})
 
 
-def entry_values(entry, files):
+def entry_values(entry, files, first_frame):
     """Entries of the scene file for a garment.
 
     Args:
         entry: of the list.
         files: where the garment was written.
+        first_frame: number of the scene's frame that is simulated first.
     """
+    pinned = files.pins is not None
     return {
         "garment": f"./{files.mesh.name}",
         "material": _file_or_name(entry.material),
         "triangles": entry.triangles if entry.own_triangles else None,
         "pins": None if files.pins is None else f"./{files.pins.name}",
+        "pin_stiffness": entry.pin_stiffness if pinned and entry.springs else None,
+        "pins_until": max(entry.pins_until - first_frame, 0) if pinned and entry.lets_go else None,
         "tucked": True if entry.tucked else None,
     }
 
@@ -122,6 +132,10 @@ def run_values(settings):
     return {
         "model": _file_or_name(settings.model),
         "self_contact": None if without else settings.self_contact,
+        # A file that leaves these out means what files meant before there was a choice.
+        "friction_law": "auto",
+        "time_integration": "auto",
+        "air": "auto",
     }
 
 

@@ -83,16 +83,28 @@ def write_body(folder: Path, body: BakedBody, fps: float) -> Path:
     return path
 
 
-def write_scene(folder: Path, scene: dict[str, Any], garments: Sequence[dict[str, Any]], run: dict[str, Any]) -> Path:
+def write_scene(
+    folder: Path,
+    scene: dict[str, Any],
+    garments: Sequence[dict[str, Any]],
+    run: dict[str, Any],
+    environment: dict[str, Any],
+) -> Path:
     """Write the scene file; entries that are None are left out.
 
     Args:
         folder: of the run.
         scene: entries of its first section.
         garments: entries of each garment, inner first.
-        run: entries of its last section.
+        run: entries of the section of that name.
+        environment: entries of the section of that name.
     """
-    sections = [("[scene]", scene), *(("[[garments]]", each) for each in garments), ("[run]", run)]
+    sections = [
+        ("[scene]", scene),
+        *(("[[garments]]", each) for each in garments),
+        ("[run]", run),
+        ("[environment]", environment),
+    ]
     lines = ["format_version = 1"]
     for title, entries in sections:
         lines += ["", title, *(f"{key} = {_toml(value)}" for key, value in entries.items() if value is not None)]

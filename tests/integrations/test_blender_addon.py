@@ -219,6 +219,30 @@ np.savez(FOLDER / "shown.npz", **{each.name: [world(each, t) for t in range(1, 5
 
 
 @pytest.mark.slow
+def test_wind_gravity_and_pins_of_the_scene_are_simulated(run: Callable, tmp_path: Path) -> None:
+    seen = run("""
+scene = bpy.context.scene
+scene.gravity = (0.0, 0.0, -1.62)
+scene.frame_end = 4
+bpy.ops.object.effector_add(type="WIND", rotation=(-np.pi / 2, 0.0, 0.0))
+field = bpy.context.object.field
+field.strength, field.noise, field.seed = 3.0, 1.0, 7
+entry = settings.garments[0]
+entry.springs, entry.pin_stiffness, entry.lets_go, entry.pins_until = True, 120.0, True, scene.frame_start + 2
+bpy.ops.pb4u.simulate()
+seen["status"] = settings.status
+""")
+    assert seen["status"] == "4 frames are there."
+    written = Run.open(tmp_path / "pb4u_cache" / "run_0001" / "scene.toml")
+    # A field that blows along +Y in Blender blows along -Z, to the back of the figure.
+    np.testing.assert_allclose(written.environment.wind, [0.0, 0.0, -3.0], atol=1e-5)
+    np.testing.assert_allclose(written.environment.gravity, [0.0, -1.62, 0.0], atol=1e-6)
+    assert written.environment.gusts == 7
+    assert (written.friction_law, written.time_integration, written.air) == ("auto", "auto", "auto")
+    assert (written.garments[0].pin_stiffness, written.garments[0].pins_until) == (120.0, 2)
+
+
+@pytest.mark.slow
 def test_what_cannot_be_simulated_is_told_in_one_sentence(run: Callable, tmp_path: Path) -> None:
     seen = run("""
 scene = bpy.context.scene
