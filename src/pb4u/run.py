@@ -64,9 +64,6 @@ class WornGarment:
         pins: Vertices that follow the body: none, waist (highest border), collar (uppermost 4 cm of a border), hem
             (lowest border), loop:N (of the borders by their vertices, loop:0 the one with the most), a file of indices
             or a list. Default: the garment's own.
-        pin_stiffness: Stiffness of the springs that hold its pins [N/m], all together: a waistband of 300 gives way by
-            centimetres. Default: pins hold exactly.
-        pins_until: Frame, counted from 0 as frames are written, from which its pins let go.
         triangles: Triangles to simulate. Default: the file's own, or 2,500 of a built-in garment.
         texture: Image laid on the garment by its UVs, or from front and back where it has none. Default: the images
             and colours of its own file (OBJ with MTL, glTF).
@@ -74,6 +71,9 @@ class WornGarment:
         tucked: Whether it is tucked into the trousers or the skirt, wherever it stands in the order.
         grain: Direction X,Y,Z of the warp where it is worn at rest, such as 0,1,0, on to each face. Default: that of
             its panels, or of UVs in metres; else its cloth is the same in all directions.
+        pin_stiffness: Stiffness of the springs that hold its pins [N/m], all together: a waistband of 300 gives way by
+            centimetres. Default: pins hold exactly.
+        pins_until: Frame, counted from 0 as frames are written, from which its pins let go.
 
     Raises:
         InputError: a value of a wrong type or out of range.
@@ -85,13 +85,13 @@ class WornGarment:
         Flag(GARMENT, "[NAME[.PART]=]MATERIAL", is_file=True, form="Material", by_part=True),
     ] = field(default=None, hash=False)
     pins: Annotated[str | Path | Sequence[int] | None, Flag(GARMENT, "[NAME=]PINS", is_file=True, form="Pins")] = None
-    pin_stiffness: Annotated[float | None, Flag(GARMENT, "[NAME=]K", least=1, most=10_000_000)] = None
-    pins_until: Annotated[int | None, Flag(GARMENT, "[NAME=]FRAME", least=0)] = None
     triangles: Annotated[int | None, Flag(GARMENT, "[NAME=]N", label="triangles_asked", form="Triangles")] = None
     texture: Annotated[str | Path | None, Flag(GARMENT, "[NAME=]FILE", is_file=True)] = None
     tacks: Annotated[Sequence[tuple[int, int]], Flag(GARMENT, "[NAME=]A:B")] = ()
     tucked: Annotated[bool, Flag(GARMENT, form="Tucked in")] = False
     grain: Annotated[tuple[float, float, float] | None, Flag(GARMENT, "[NAME=]X,Y,Z")] = None
+    pin_stiffness: Annotated[float | None, Flag(GARMENT, "[NAME=]K", least=1, most=10_000_000)] = None
+    pins_until: Annotated[int | None, Flag(GARMENT, "[NAME=]FRAME", least=0)] = None
 
     def __post_init__(self) -> None:
         if not (self.pins is None or isinstance(self.pins, str | Path)):
@@ -177,8 +177,8 @@ class Run:
         friction_law: Friction on bodies and on the ground: coulomb, by what presses and alike in all directions; or the
             paper's, which resists sliding down by a hundredth of that. auto is coulomb wherever the solver takes part.
         substeps: Steps of the solver in a frame, for what moves fast. A network keeps the step that it was trained on.
-        time_integration: Rule of integration in time. auto is bdf2, which keeps a swing's height, wherever the solver
-            takes part, else implicit-euler.
+        time_integration: Rule of integration in time. auto is bdf2, which keeps a swing's height, for solver and
+            quick-solver, and implicit-euler for networks, which learnt it.
         air: Air that presses on moving cloth and drags it. auto is on wherever the solver takes part, and with wind.
         environment: Gravity, air and ground; flags and entries of jobs files are the fields of `Environment`.
 

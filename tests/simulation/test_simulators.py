@@ -75,13 +75,14 @@ def test_friction_is_coulombs_where_the_solver_takes_part(model: str, options: d
     ("model", "options", "laws"),
     [
         ("quick-solver", {}, ("bdf2", True)),
-        ("pb4u-small", {}, ("bdf2", True)),
+        ("pb4u-small", {}, ("implicit-euler", True)),
+        ("warm-start", {}, ("implicit-euler", True)),
         ("pb4u-small", {"refine": 0}, ("implicit-euler", False)),
         ("pb4u-small", {"refine": 0, "environment": Environment(wind=(0.0, 0.0, 2.0))}, ("implicit-euler", True)),
         ("solver", {"air": "off", "time_integration": "implicit-euler"}, ("implicit-euler", False)),
     ],
 )
-def test_cloth_swings_in_air_where_the_solver_takes_part(
+def test_cloth_swings_by_a_solver_and_meets_air_where_one_takes_part(
     model: str, options: dict[str, Any], laws: tuple[str, bool]
 ) -> None:
     """And a network alone has the laws that it learnt, but for a wind that is asked for."""

@@ -37,9 +37,10 @@ CONTROLS: Registry[Callable[..., Simulator]] = Registry("control")
 """What makes a control by its name, the network that it stands beside, its passes and the options of a simulator."""
 TRAINABLE: Registry[str] = Registry("trainable network")
 """Advice, as part of a sentence, on how to train a network that has a name but no weights."""
-_OF_THE_SOLVER = {"friction_law": "coulomb", "time_integration": "bdf2", "air": "on"}
-_OF_NETWORKS = {"friction_law": "paper", "time_integration": "implicit-euler", "air": "off"}
-"""Laws of a run in which the solver takes part, and of one in which it does not, where the run leaves them open."""
+_SOLVERS = ("solver", "quick-solver")
+"""Models that are neither a network nor a control beside one."""
+_OF_NETWORKS = {"friction_law": "paper", "air": "off", "time_integration": "implicit-euler"}
+"""Laws that a run of a network alone has where it leaves them open: it has learnt them."""
 
 _BEST = "best.safetensors"
 _TRAINING_STATE = "pb4u_training"
@@ -100,14 +101,21 @@ def chosen_model(run: Run) -> str:
 
 
 def chosen_laws(run: Run) -> dict[str, str]:
-    """Laws of motion that a run names or leaves open, by option: what a network alone leaves open it has learnt.
+    """Laws of motion by option, those that a run leaves open chosen.
+
+    The solver corrects what a network never learnt of friction and air. Steps of second order it corrects too, but has
+    to take half as many again anew.
 
     Args:
         run: whose scene is not looked at.
     """
-    laws = _OF_THE_SOLVER if _solves(run) else _OF_NETWORKS
+    laws = dict(_OF_NETWORKS)
+    if _solves(run):
+        laws |= {"friction_law": "coulomb", "air": "on"}
+    if chosen_model(run) in _SOLVERS:
+        laws["time_integration"] = "bdf2"
     if any(run.environment.wind):
-        laws = {**laws, "air": "on"}
+        laws["air"] = "on"
     given = {name: getattr(run, name) for name in laws}
     return {name: laws[name] if value == "auto" else value for name, value in given.items()}
 
