@@ -1,7 +1,7 @@
 """Contact over many clips: what crosses cloth and body, where skin shows, how near cloth comes, and what it costs.
 
     python benchmarks/self_contact.py --set motions --models auto,solver --out clips
-    python benchmarks/self_contact.py --set fine,outfits,drawn --seeds 0:300 --out clips
+    python benchmarks/self_contact.py --set fine,outfits,drawn,fabrics --seeds 0:300 --out clips
     python benchmarks/self_contact.py --set others --data ../../shared/data --triangles 8000 --out clips
     python benchmarks/self_contact.py --garments tee.json,dress --motions walk,squat --triangles 1200 --out clips
 
@@ -27,7 +27,7 @@ import numpy as np
 
 from pb4u.collision.crossings import self_crossings
 from pb4u.garment.library import garment_names
-from pb4u.garment.material import MATERIALS
+from pb4u.garment.material import FABRICS, MATERIALS
 from pb4u.jobs.job import Failure, Made
 from pb4u.jobs.job_folder import JobFolder, quiet
 from pb4u.jobs.worker_pool import LocalPool
@@ -85,18 +85,19 @@ def runs(kind: str, args: argparse.Namespace) -> Iterator[Run]:
             body = "man" if "_m_" in garment else "woman"
             file, worn = args.data / "motions" / "cmu_asfamc" / f"{motion}.amc", mended(garment, body, args)
             yield run((str(worn),), str(file), None, 60, body=body, crop=crop)
-    elif kind == "drawn":
+    elif kind in ("drawn", "fabrics"):
+        names = tuple(MATERIALS if kind == "drawn" else FABRICS)
         draw, (first, stop) = np.random.default_rng(0), map(int, args.seeds.split(":"))
         for seed in range(stop):
             alone = draw.random() < 0.7
             garments = (str(draw.choice(garment_names())),) if alone else OUTFITS[draw.integers(len(OUTFITS))]
             shape = {name: float(draw.uniform(0.1, 0.9)) for name in ("height", "weight", "muscle")}
             body = str(draw.choice(["woman", "man"]))
-            motion, material = str(draw.choice(motion_names())), str(draw.choice(tuple(MATERIALS)))
+            motion, material = str(draw.choice(motion_names())), str(draw.choice(names))
             if seed >= first:
                 yield run(garments, motion, 1500, 60, body_shape=shape, body=body, material=material, seed=seed)
     else:
-        raise SystemExit(f"There is no set {kind}: motions, fine, outfits, others or drawn.")
+        raise SystemExit(f"There is no set {kind}: motions, fine, outfits, others, drawn or fabrics.")
 
 
 def mended(garment: str, body: str, args: argparse.Namespace) -> Path:
@@ -159,13 +160,13 @@ HEAD = (
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--set", default="motions", help="motions, fine, outfits, others, drawn, by comma")
+    parser.add_argument("--set", default="motions", help="motions, fine, outfits, others, drawn, fabrics, by comma")
     parser.add_argument("--garments", default="", help="names or files, by comma, to simulate in place of a set")
     parser.add_argument("--motions", default="walk,dance,squat", help="for --garments")
     parser.add_argument("--models", default="auto")
     parser.add_argument("--frames", type=int, help="of each clip, in place of those of its set")
     parser.add_argument("--triangles", type=int, help="of each garment, in place of those of its set")
-    parser.add_argument("--seeds", default="0:300", help="first and last scene of drawn, the last left out")
+    parser.add_argument("--seeds", default="0:300", help="first and last scene of drawn or fabrics, the last left out")
     parser.add_argument("--data", type=Path, default=Path("../../shared/data"), help="garments and motions of others")
     parser.add_argument("--against", action="store_true", help="simulate each clip with self-contact off too")
     parser.add_argument("--keep", action="store_true", help="keep the trajectories")
