@@ -21,6 +21,8 @@ from pb4u.body.sequence_files import write_vertex_sequence
 from pb4u.garment.library import build_garment
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.obj_file import read_obj, write_obj
+from pb4u.options import described
+from pb4u.run import Run, WornGarment
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.models import default_model
@@ -364,15 +366,30 @@ def test_the_version_is_told_before_anything_else(pb4u: Callable) -> None:
 @pytest.mark.parametrize(
     ("verb", "says"),
     [
-        (("simulate",), ("beta0=1.5", "GLB is within 1 mm", "garment alone", "Blender", "solver always runs on the")),
+        (
+            ("simulate", "--help-all"),
+            ("beta0=1.5", "GLB is within 1 mm", "garment alone", "Blender", "solver always runs on the"),
+        ),
         (("convert",), ("GLB is within 1 mm", "garment alone", "Blender")),
         (("check",), ("beta0=1.5",)),
         (("assets", "write"), ("beta0=1.5", "takes as --body")),
     ],
 )
 def test_help_says_what_has_to_be_known(pb4u: Callable, verb: tuple[str, ...], says: tuple[str, ...]) -> None:
-    text = " ".join(pb4u(*verb, "--help").out.replace("│", " ").split())
+    text = " ".join(pb4u(*verb, *([] if "--help-all" in verb else ["--help"])).out.replace("│", " ").split())
     assert [phrase for phrase in says if phrase not in text] == []
+
+
+def test_help_of_simulate_is_brief_and_names_all_options_when_asked(
+    pb4u: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    brief, whole = pb4u("simulate", "--help").out, pb4u("simulate", "--help-all").out
+    assert len(brief.splitlines()) < 70
+    assert "--help-all" in brief
+    assert "--lead-in" not in brief
+    named = {f"--{name.replace('_', '-')}" for kind in (Run, WornGarment) for name in described(kind)}
+    assert {name for name in named if name not in whole} <= {"--garments", "--tacks", "--tucked", "--environment"}
 
 
 @pytest.mark.parametrize("verb", ["", "simulate", "convert", "train", "evaluate", "batch", "view", "assets write"])

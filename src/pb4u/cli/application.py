@@ -20,7 +20,7 @@ from pb4u.cli import (
     train,
     trajectory_verbs,
 )
-from pb4u.cli.console import Verb, Verbs
+from pb4u.cli.console import Verb, Verbs, brief_verb
 
 app = typer.Typer(
     cls=Verbs,
@@ -33,8 +33,10 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
+app.command(cls=brief_verb("scene", "garment", "material", "triangles", "body", "motion", "frames", "model", "out"))(
+    simulate.simulate
+)
 for verb in (
-    simulate.simulate,
     trajectory_verbs.view,
     check.check,
     dress.dress,

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args, get_origin
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -45,8 +45,39 @@ class _Switches:
         return params
 
 
+_WHOLE = "pb4u.whole_help"
+"""Key of what the help of a call shows: all options, or those that most calls have."""
+
+
+def _show_all(context: typer.Context, asked: bool) -> None:
+    if asked:
+        context.meta[_WHOLE] = True
+        print(context.get_help())
+        raise typer.Exit
+
+
+HelpAllFlag: TypeAlias = Annotated[
+    bool, typer.Option("--help-all", is_eager=True, callback=_show_all, help="Show all options and exit.")
+]
+"""Flag of a verb whose help is brief."""
+
+
 class Verb(_Switches, TyperCommand):
-    """A verb."""
+    """A verb.
+
+    Attributes:
+        brief: names of the options that its help shows, where `--help-all` shows the others; empty where it shows all.
+    """
+
+    brief: ClassVar[frozenset[str]] = frozenset()
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Arguments and options of the verb; hidden are those that its brief help leaves out."""
+        params = super().get_params(ctx)
+        if self.brief:
+            for each in params:
+                each.hidden = not ctx.meta.get(_WHOLE) and each.name not in {*self.brief, "help", "help_all"}
+        return params
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Values of a verb; of an unknown option the nearest one is named, where all similar ones would be by name."""
@@ -56,6 +87,15 @@ class Verb(_Switches, TyperCommand):
             if similar := getattr(error, "possibilities", None):
                 error.possibilities = get_close_matches(error.option_name, similar, 1, 0.0)  # type: ignore[attr-defined]
             raise
+
+
+def brief_verb(*options: str) -> type[Verb]:
+    """A verb whose help shows few of its options; it takes a `HelpAllFlag`.
+
+    Args:
+        options: names of those.
+    """
+    return type("BriefVerb", (Verb,), {"brief": frozenset(options)})
 
 
 _ELSEWHERE = {"export": "convert", "render": "convert", "play": "view", "show": "view", "run": "simulate"}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pb4u.cli.console import check_json_target, keep_inputs, say, verb, write_json, wrote
+from pb4u.cli.console import HelpAllFlag, check_json_target, keep_inputs, say, verb, write_json, wrote
 from pb4u.cli.outputs import OUTPUT_FLAGS, Outputs
 from pb4u.cli.picture_flags import PICTURE_FLAGS, view_of
 from pb4u.cli.record_flags import given_values
@@ -37,6 +37,7 @@ def simulate(
     flags: Mapping[str, Any],
     outputs: Mapping[str, Any],
     picture: Mapping[str, Any],
+    help_all: HelpAllFlag = False,
 ) -> None:
     """Simulate garments on a moving body. Without options: the T-shirt on a walk, animated, in this folder.\f
 
@@ -46,6 +47,7 @@ def simulate(
         flags: the fields of `Run`.
         outputs: the fields of `Outputs`.
         picture: the fields of `PictureRequest`.
+        help_all: shows all options.
 
     Raises:
         InputError: the arguments contradict each other, or something they name is unknown or unusable.

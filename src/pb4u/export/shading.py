@@ -67,7 +67,7 @@ LOOKS = {
     "wool-coat": Look((0.61, 0.48, 0.34), "felt", 0.0),
     "jersey": Look((0.63, 0.68, 0.71), "knit"),
     "cotton-jersey": Look((0.70, 0.72, 0.66), "knit"),
-    "ponte": Look((0.34, 0.30, 0.36), "knit"),
+    "ponte": Look((0.38, 0.50, 0.52), "knit"),
     "wool-knit": Look((0.60, 0.52, 0.43), "rib", 0.0),
     "sweatshirt-knit": Look((0.66, 0.66, 0.65), "knit", 0.0),
     "swimwear": Look((0.22, 0.36, 0.42), "", 0.14),
@@ -79,7 +79,7 @@ LOOKS = {
     "garment-leather": Look((0.32, 0.22, 0.16), "", 0.40),
     "polyester-plain": Look((0.72, 0.76, 0.74), "plain", 0.06),
     "jacket-polyester": Look((0.36, 0.42, 0.36), "plain", 0.10),
-    "wool-suiting": Look((0.33, 0.35, 0.40), "twill", 0.0),
+    "wool-suiting": Look((0.44, 0.46, 0.51), "twill", 0.0),
     "tulle": Look((0.88, 0.80, 0.81), ""),
     "neoprene": Look((0.24, 0.26, 0.28), "", 0.12),
 }
