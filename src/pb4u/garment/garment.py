@@ -15,7 +15,7 @@ from pb4u.body.skinning import SkinningWeights, strongest_influences
 from pb4u.errors import InputError
 from pb4u.garment.material import DirectionalBending, Material
 from pb4u.garment.trims import Trims
-from pb4u.geometry.appearance import Appearance, Appearances
+from pb4u.geometry.appearance import Appearances
 from pb4u.geometry.mesh_arrays import as_numbers, checked_faces, checked_places, checked_vertices
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology, uv_islands
@@ -355,7 +355,8 @@ class Garment:
         return len(self.faces)
 
     def with_material(self, material: Material) -> Garment:
-        return replace(self, material=material, materials=(), face_material=None, material_layers=None)
+        other = replace(self, material=material, materials=(), face_material=None, material_layers=None)
+        return other if self.material_layers is None else other.with_layers((material,), self.layers.sum(1)[:, None])
 
     def with_part(self, material: Material, faces: np.ndarray) -> Garment:
         """With another material on some faces.
@@ -383,30 +384,3 @@ class Garment:
 
     def with_pins(self, pinned: np.ndarray) -> Garment:
         return replace(self, pinned=pinned)
-
-    def with_texture(self, image: bytes) -> Garment:
-        """Wearing an image: by its UVs, or from front and back where it has none.
-
-        Args:
-            image: content of a PNG or JPEG file.
-        """
-        listed = (Appearance("texture", image=image),)
-        garment = replace(self, appearances=Appearances(listed, np.zeros(len(self.faces), dtype=np.int64)))
-        source = self.source
-        if source is not None:
-            mesh = source.source
-            looks = Appearances(listed, np.zeros(len(mesh.polygons), dtype=np.int64))
-            uvs = (mesh.uvs, mesh.polygon_uvs) if mesh.uvs is not None else (_from_front(mesh.vertices), mesh.polygons)
-            mesh = replace(mesh, uvs=uvs[0], polygon_uvs=uvs[1], appearances=looks)
-            garment = replace(garment, source=replace(source, source=mesh))
-            return garment if self.uvs is not None else replace(garment, appearances=None)
-        if self.uvs is None:
-            return replace(garment, uvs=_from_front(self.vertices), uv_faces=self.faces)
-        return garment
-
-
-def _from_front(vertices: np.ndarray) -> np.ndarray:
-    """UVs (vertices, 2) that lay an image on from the front, as high as the garment and centred."""
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    flat = vertices[:, :2] - [0.5 * (low[0] + high[0]), low[1]]
-    return flat / max(high[1] - low[1], 1e-9) + [0.5, 0.0]

@@ -46,6 +46,7 @@ from pb4u.garment.repair import push_out
 from pb4u.garment.source_map import remeshed
 from pb4u.garment.support import Support, find_support
 from pb4u.garment.tacks import tacked
+from pb4u.garment.texture import textured
 from pb4u.geometry.appearance import read_image
 from pb4u.geometry.mesh_file import MOST_READ
 from pb4u.options import NONE
@@ -116,7 +117,7 @@ def load_garment(worn: WornGarment, body: Body, rest_shape: RestShape = Run.rest
             "run upwards.",
             InputNote,
         )
-    return garment if worn.texture is None else garment.with_texture(read_image(Path(worn.texture)))
+    return garment if worn.texture is None else textured(garment, read_image(Path(worn.texture)))
 
 
 class Kind(NamedTuple):
