@@ -293,12 +293,21 @@ class Garment:
 
     @cached_property
     def hinge_bending(self) -> np.ndarray:
-        """Bending coefficients (hinges,) [J]: two materials bend in series, each as wide as its face."""
+        """Bending coefficients (hinges,) [J]: two materials bend in series, each as wide as its face.
+
+        Bands run through faces beside each other, not from one to the other: there it is the mean by area.
+        """
         hinge_faces = self.topology.hinge_faces
         bending, areas = self._side_bending(hinge_faces), self.face_areas[hinge_faces]
         with np.errstate(divide="ignore", invalid="ignore"):
             series = areas.sum(axis=1) / (areas / bending).sum(axis=1)
-        return np.where(bending[:, 0] == bending[:, 1], bending[:, 0], series)
+        series = np.where(bending[:, 0] == bending[:, 1], bending[:, 0], series)
+        if self.material_layers is None and self.trims is None:
+            return series
+        is_band = (self.layers.max(axis=1) < 1.0) | (self.layers.sum(axis=1) > 1.0)
+        if self.trims is not None:
+            is_band |= self.trims.interfacing > 0.0
+        return np.where(is_band[hinge_faces].any(axis=1), (areas * bending).sum(axis=1) / areas.sum(axis=1), series)
 
     def _side_bending(self, hinge_faces: np.ndarray) -> np.ndarray:
         """Bending coefficients (hinges, 2) [J] of both sides, each by the edge's direction in its own panel."""

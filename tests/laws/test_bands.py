@@ -1,4 +1,4 @@
-"""Elastic on a cylinder: the laws of a ring under tension."""
+"""Bands: elastic on a cylinder, by the laws of a ring under tension, and a stiffened hem that is bent."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+import torch
+from scipy.spatial import Delaunay
 from tests.physics.shapes import packed, potential_of, tube
 
 from pb4u.garment.garment import Garment
@@ -63,3 +65,35 @@ def test_elastic_at_its_rest_length_pulls_nothing_and_does_not_lock_cloth() -> N
     gathered = Garment("ring", ring.vertices * [0.8, 1.0, 0.8], ring.faces, locking, rest_uv=ring.rest_uv)
     assert abs(radial_force(gathered, 1.0)) < 1e-3 * tension
     assert np.isclose(ring.vertex_masses.sum(), tube(96, 2, RADIUS, HEIGHT, locking).vertex_masses.sum(), rtol=1e-12)
+
+
+def lattice(count: int) -> Garment:
+    """A sheet of 0.4 m in the x-y plane, of triangles with nearly equal sides."""
+    rows = round(count * 2.0 / math.sqrt(3.0))
+    x = np.linspace(0.0, 0.4, count + 1)
+    between = np.concatenate([[0.0], 0.5 * (x[1:] + x[:-1]), [0.4]])
+    lines = [(x if row % 2 == 0 else between, 0.4 * row / rows) for row in range(rows + 1)]
+    points = np.concatenate([np.column_stack([line, np.full(len(line), y)]) for line, y in lines])
+    faces = Delaunay(points).simplices.astype(np.int64)
+    (ax, ay), (bx, by) = (points[faces[:, k]].T - points[faces[:, 0]].T for k in (1, 2))
+    doubled = ax * by - ay * bx
+    faces = np.where(doubled[:, None] < 0.0, faces[:, ::-1], faces)[np.abs(doubled) > 1e-9]
+    return Garment("sheet", np.column_stack([points, np.zeros(len(points))]), faces, CLOTH)
+
+
+@pytest.mark.parametrize("count", [8, 14, 28, 56])
+def test_a_stiffened_hem_resists_waves_alike_on_coarse_and_fine_meshes(count: int) -> None:
+    radius, added = 0.3, 2e-4
+
+    def energy(garment: Garment) -> float:
+        garments = packed(garment)
+        x = garments.rest_positions.clone()
+        x[:, 0], x[:, 2] = radius * torch.sin(x[:, 0] / radius), radius * (1.0 - torch.cos(x[:, 0] / radius))
+        return float(potential_of(garments).energies(x).terms["bending"].sum())
+
+    plain = lattice(count)
+    stiff = banded(plain, interfacing={"hem": added})
+    of_band = 0.02 * 0.4 * added / (2.0 * radius**2)
+    # Borders have no hinges, neither those of the sheet nor those of its band.
+    of_sheet = energy(plain) / (0.4**2 * CLOTH.bending / (8.0 * radius**2))
+    assert (energy(stiff) - energy(plain)) / of_band == pytest.approx(of_sheet, rel=0.1)
