@@ -107,6 +107,18 @@ def test_a_fabric_of_a_band_is_mixed_by_area_along_the_grain() -> None:
     assert garment.material == CLOTH
 
 
+def test_layers_and_interfacing_are_found_again_on_other_triangles() -> None:
+    garment = loaded(prism(12, 26), None, pins="none", layers={"hem": 2}, interfacing={"hem": 1e-4})
+    other = loaded(garment, None, pins="none", triangles=900)
+    assert other.trims is not None
+    assert len(other.faces) != len(garment.faces)
+    # Other triangles round the corners off.
+    densities = (each.vertex_masses.sum() / each.face_areas.sum() for each in (garment, other))
+    assert next(densities) == pytest.approx(next(densities), rel=0.01)
+    hem = other.vertices[other.faces].mean(axis=1)[:, 1] < 0.01
+    assert other.trims.interfacing[hem].mean() == pytest.approx(1e-4, rel=0.3)
+
+
 def test_what_is_near_a_border_and_not_joined_to_it_is_no_band() -> None:
     inner, outer = (tube_arrays(low=0.5, high=high, radius=radius) for high, radius in ((0.98, 0.10), (1.0, 0.11)))
     vertices, quads = np.concatenate([inner[0], outer[0]]), np.concatenate([inner[1], outer[1] + len(inner[0])])
