@@ -122,7 +122,8 @@ def described(record: type) -> Mapping[str, Entry]:
             continue
         parts = get_args(kinds) if isinstance(kinds, UnionType) or get_origin(kinds) is Union else (kinds,)
         choices = next((get_args(part) for part in parts if get_origin(part) is Literal), ())
-        kind = "choice" if choices else next((name for of, name in _KINDS.items() if of in parts), "other")
+        values = get_args(kinds)[1:] if flag.by_part and get_origin(kinds) is Mapping else parts
+        kind = "choice" if choices else next((name for of, name in _KINDS.items() if of in values), "other")
         default = each.default if each.default is not MISSING else None
         found[each.name] = Entry(
             each.name, parts[0], kind, type(None) in parts, choices, default, flag, texts[each.name]
@@ -173,8 +174,18 @@ def require_value(entry: Entry, value: object, name: str) -> None:
     Raises:
         InputError: the value does not fit.
     """
-    if not (value is None and entry.optional) and not _fits(entry, value):
-        raise InputError(f"{name} must be {_wanted(entry)}, not {value!r}.")
+    if entry.flag.by_part and isinstance(value, Mapping) and all(isinstance(part, str) for part in value):
+        for part, each in value.items():
+            if isinstance(each, Mapping) or not _fits(entry, each):
+                raise InputError(f"{name} of {part} must be {_wanted(entry)}, not {each!r}.")
+    elif not (value is None and entry.optional) and (_is_by_part_alone(entry) or not _fits(entry, value)):
+        each_part = ", for each part by its name" if _is_by_part_alone(entry) else ""
+        raise InputError(f"{name} must be {_wanted(entry)}{each_part}, not {value!r}.")
+
+
+def _is_by_part_alone(entry: Entry) -> bool:
+    """Whether a value holds for one part of a garment, and never for all of it."""
+    return entry.flag.by_part and get_origin(entry.type) is Mapping
 
 
 def _fits(entry: Entry, value: Any) -> bool:
@@ -185,8 +196,6 @@ def _fits(entry: Entry, value: Any) -> bool:
     if entry.kind == "switch":
         return isinstance(value, bool)
     if entry.kind == "name":
-        if entry.flag.by_part and isinstance(value, Mapping):
-            return bool(value) and all(isinstance(part, str) and _fits(entry, each) for part, each in value.items())
         return value != "" and not isinstance(value, Real | Mapping | list | set) and value is not None
     if entry.kind in ("other", "file", "names", "counts", "files"):
         return True

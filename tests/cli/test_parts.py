@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from tests.garment.cloth_shapes import CLOTH
 
 import pb4u as package
 from pb4u.body.library import load_body
+from pb4u.cli.run_flags import GarmentValue, run_of
 from pb4u.garment.library import build_garment
 from pb4u.garment.material import MATERIALS
-from pb4u.run import Run
+from pb4u.geometry.obj_file import read_obj
+from pb4u.measures.metrics import garments_of
+from pb4u.run import Run, WornGarment
+from pb4u.scene.loaded_garments import load_garment
 from pb4u.scene.trajectory import Trajectory
 
 SMALL = ("--frames", 1, "--lead-in", 0, "--model", "skinning")
@@ -86,3 +92,75 @@ def test_parts_of_a_garment_made_in_python(skirt: Path) -> None:
     garment = scene.garments[0].garment
     assert set(np.unique(garment.of_faces("density"))) == {CLOTH.density, MATERIALS["default"].density}
     assert list(garment.parts) == ["cloth", "waistband"]
+
+
+def test_bands_by_flags_and_scene_file(pb4u: Callable, skirt: Path, tmp_path: Path) -> None:
+    flags = ("--elastic", "two.waist=0.9", "--layers", "two.hem=2", "--band-width", "two.hem=0.04")
+    flags += ("--material", "two.hem=denim", "--interfacing", "two.waistband=1e-4", "--save-scene", tmp_path / "s.toml")
+    ended = pb4u("simulate", "--garment", skirt, *flags, *SMALL, "--out", tmp_path / "a.npz")
+    assert ended.code == 0, ended.err
+    written = Run.open(tmp_path / "s.toml").garments[0]
+    assert (written.elastic, written.layers) == ({"waist": 0.9}, {"hem": 2})
+    assert (written.band_width, written.interfacing) == ({"hem": 0.04}, {"waistband": 1e-4})
+    trajectory = Trajectory.open(tmp_path / "a.npz")
+    (garment,) = garments_of(trajectory)
+    hem = 0.5 * garment.layers[:, 1]
+    assert 0.0 < hem.mean() < 0.2
+    np.testing.assert_allclose(garment.layers[:, 0], 1.0 - hem)
+    plain, denim = MATERIALS["default"].density, MATERIALS["denim"].density
+    assert garment.trims is not None
+    expected = (plain + hem * (2.0 * denim - plain)) / garment.trims.elastic
+    np.testing.assert_allclose(garment.of_faces("density"), expected, rtol=1e-9)
+    assert garment.trims.elastic.min() == pytest.approx(0.9, abs=1e-3)
+    flag = GarmentValue.parse_part("two.waistband=3")
+    (changed,) = run_of(Run.open(tmp_path / "s.toml"), {"layers": [flag]}).garments
+    assert (changed.layers, changed.elastic) == ({"hem": 2, "waistband": 3}, {"waist": 0.9})
+
+
+@pytest.mark.parametrize(
+    ("flags", "code", "said"),
+    [
+        (("--elastic", "skirt.belt=0.8"), 1, "'belt'; there are waist, hem, border."),
+        (("--elastic", "skirt.waist=0.2"), 1, "elastic of waist must be a number from 0.5 to 1.5, not 0.2."),
+        (("--elastic", "0.8"), 2, "it takes a number for a part, NAME.PART=N"),
+        (("--layers", "skirt.hem=two"), 2, "it takes a number for a part, NAME.PART=N"),
+        (("--layers", "shirt.hem=2"), 1, "'shirt'"),
+    ],
+)
+def test_bands_that_are_not_there_are_refused(
+    pb4u: Callable, tmp_path: Path, flags: tuple[str, str], code: int, said: str
+) -> None:
+    ended = pb4u("simulate", "--garment", "skirt", "--triangles", 900, *flags, *SMALL, "--out", tmp_path / "a.npz")
+    assert ended.code == code
+    assert said in " ".join(ended.err.split())
+
+
+@pytest.mark.parametrize("triangles", [None, 900])
+def test_parts_without_colours_are_parts(skirt: Path, tmp_path: Path, triangles: int | None) -> None:
+    bare = tmp_path / "bare.obj"
+    bare.write_text("".join(line for line in skirt.read_text().splitlines(True) if not line.startswith("mtllib")))
+    asked = {"material": {"waistband": CLOTH}, "triangles": triangles, "pins": "none"}
+    own, other = (
+        load_garment(WornGarment(file, **asked), None).of_faces("density")  # type: ignore[arg-type]
+        for file in (bare, skirt)
+    )
+    assert np.array_equal(own, other)
+    assert len(np.unique(own)) == 2
+
+
+def test_primitives_of_gltf_are_parts_by_material_or_mesh(skirt: Path, tmp_path: Path) -> None:
+    mesh = read_obj(skirt)
+    upper = mesh.vertices[np.stack(mesh.polygons)][:, :, 1].mean(axis=1) > mesh.vertices[:, 1].max() - 0.08
+    scene = trimesh.Scene()
+    for name, chosen in (("sash", upper), ("cloth", ~upper)):
+        shape = trimesh.Trimesh(mesh.vertices, np.stack(mesh.polygons)[chosen], process=False)
+        scene.add_geometry(shape, geom_name=name, node_name=name)
+    document = json.loads(scene.export(file_type="gltf")["model.gltf"])
+    document["materials"] = [{"name": "ribbon"}]
+    document["meshes"][0]["primitives"][0]["material"] = 0
+    for name, content in (scene.export(file_type="gltf")).items():
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "two.gltf").write_text(json.dumps(document))
+    garment = load_garment(WornGarment(tmp_path / "two.gltf", pins="none"), None)
+    assert set(garment.parts) == {"ribbon", "cloth"}
+    assert np.array_equal(garment.parts["ribbon"], ~garment.parts["cloth"])

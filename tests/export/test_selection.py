@@ -68,6 +68,15 @@ def test_motion_is_carried_to_the_source_in_its_own_order_with_its_uvs(trajector
     assert on_source(trajectory) is trajectory
 
 
+def test_bands_are_carried_to_the_source_without_what_their_elastic_gathers(trajectory: Trajectory) -> None:
+    track = SourceTrack(np.array([[2, 1, 0]]), np.array([0, 0, 1]), np.eye(3))
+    layers, trims = np.array([[1.0, 0.0], [0.5, 1.0]]), np.array([[0.0, 1.0], [1e-4, 0.8]])
+    header = replace(trajectory.header, source=track, material_layers=layers, trims=trims)
+    carried = on_source(Trajectory(header, *_arrays(trajectory))).header
+    np.testing.assert_array_equal(carried.material_layers, [[0.5, 1.0]])
+    np.testing.assert_array_equal(carried.trims, [[1e-4, 1.0]])
+
+
 def _arrays(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return trajectory.positions, trajectory.velocities, trajectory.body_positions
 

@@ -20,6 +20,7 @@ from pb4u.export.view import View
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import read_garment
 from pb4u.garment.material import Material
+from pb4u.garment.texture import textured
 from pb4u.geometry.appearance import Appearance, Appearances, read_image
 from pb4u.geometry.mesh_file import read_mesh
 from pb4u.geometry.obj_file import read_obj, write_obj
@@ -214,10 +215,10 @@ def test_a_remeshed_garment_is_shown_on_its_own_mesh(
 def test_a_texture_is_laid_on_by_the_uvs_or_from_the_front() -> None:
     vertices = np.array([[0.0, 1, 0], [0.5, 1, 0], [0, 2, 0]])
     plain = Garment("plain", vertices, np.array([[0, 1, 2]]), CLOTH)
-    worn = plain.with_texture(png())
+    worn = textured(plain, png())
     assert worn.appearances is not None
     np.testing.assert_allclose(worn.uvs, [[0.25, 0], [0.75, 0], [0.25, 1]])
-    mapped = replace(plain, uvs=vertices[:, :2], uv_faces=plain.faces).with_texture(png())
+    mapped = textured(replace(plain, uvs=vertices[:, :2], uv_faces=plain.faces), png())
     np.testing.assert_array_equal(mapped.uvs, vertices[:, :2])
 
 

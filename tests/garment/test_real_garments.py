@@ -1,6 +1,7 @@
 """Garments made by others: Z up, around the body model's own origin, two of them partly inside the body."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from pb4u.errors import InputError
 from pb4u.garment.diagnosis import diagnose, require_worn
 from pb4u.garment.fit import AXES, UNITS, UPRIGHT, RestBody, find_fit
 from pb4u.garment.garment_file import read_garment, read_source
+from pb4u.garment.parts import Parts
 from pb4u.garment.repair import repair
 from pb4u.garment.support import find_support
 from pb4u.geometry.obj_file import write_obj
@@ -22,6 +24,12 @@ NAMES = (
     "tshirt_m_lod1", "tshirt_m_lod2",
 )  # fmt: skip
 BOTTOMS = ("pants", "shorts", "skirt")
+BANDS = {
+    "croptop": "collar hem cuff",
+    "longsleeve": "collar hem cuff",
+    "tshirt": "collar hem cuff",
+    "tights": "collar cuff",
+}
 LOOPS = {"croptop": 4, "longsleeve": 4, "pants": 3, "shorts": 3, "skirt": 2, "tights": 3, "tshirt": 4}
 
 
@@ -105,3 +113,17 @@ def test_a_real_garment_moved_turned_and_scaled_is_put_back(name, test_data, bod
         fit = find_fit(vertices, rest)
         assert (fit.unit, fit.axes) == (unit, axes)
         assert np.linalg.norm(fit.apply(vertices) - worn, axis=1).max() < 0.02
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name.endswith("lod0") or "crop" in name])
+def test_the_borders_of_a_real_garment_have_their_names(name, test_data):
+    path = test_data / "garments" / f"{name}.obj"
+    if not path.is_file():
+        pytest.skip(f"{path.name} is absent")
+    garment = read_garment(path, CLOTH)
+    x, y, z = garment.vertices.T
+    parts = Parts(replace(garment, vertices=np.stack([x, z, -y], axis=1)))
+    # What is called tights goes from the neck to closed feet.
+    expected = BANDS.get(name.split("_")[0], "waist hem").split()
+    assert list(parts.names) == [*expected, "border"]
+    assert all(parts.named(each).share.any() for each in expected)

@@ -108,6 +108,10 @@ NAN_REST = np.full((700, 3), np.nan, dtype=np.float32)
         ({"metadata": np.array("[]")}, "not a JSON object"),
         ({"metadata": np.array('{"heading": "north"}')}, "heading"),
         ({"metadata": np.array('{"held_frames": [0.5]}')}, "held_frames"),
+        ({"material_layers": np.ones((698, 2))}, "material_layers and the materials in its metadata do not agree"),
+        ({"material_layers": np.ones((697, 2))}, "material_layers has the shape"),
+        ({"trims": np.zeros((698, 2))}, "elastic in its trims is not positive"),
+        ({"trims": np.full((698, 2), np.nan)}, "trims is not finite"),
         ({"format_version": np.array([1, 2])}, "format version is not a whole number"),
     ],
 )

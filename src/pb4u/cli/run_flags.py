@@ -88,6 +88,22 @@ class GarmentValue(NamedTuple):
             raise typer.BadParameter(f"it takes a direction X,Y,Z or NAME=X,Y,Z; {text!r} is neither.") from None
         return cls(name, (x, y, z))
 
+    @classmethod
+    def parse_part(cls, text: str) -> GarmentValue:
+        """Value from `NAME.PART=N`.
+
+        Raises:
+            BadParameter: no part is named, or N is no number.
+        """
+        name, value = cls.parse(text)
+        try:
+            number = float(value)
+        except ValueError:
+            number = None
+        if number is None or "." not in (name or ""):
+            raise typer.BadParameter(f"it takes a number for a part, NAME.PART=N; {text!r} is none.")
+        return cls(name, int(number) if number.is_integer() else number)
+
 
 TuckFlag: TypeAlias = Annotated[
     list[str] | None,
@@ -143,8 +159,8 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
     named = given.get("garment")
     worn = [WornGarment(name).name for name in named] if named else [each.name for each in described_run.garments]
     of_parts = _of_parts(given, worn)
-    for name in ("material", "pins", "pin_stiffness", "pins_until", "triangles", "texture", "grain"):
-        if name in given:
+    for name in entries("garments"):
+        if name in given and name not in ("garment", "tucked", "tacks"):
             given[name] = _one_each(name, given[name], worn)
     for name, number, part, value in of_parts:
         whole = given.setdefault(name, [None] * len(worn))
@@ -194,6 +210,8 @@ def _garment_flag(entry: Entry) -> tuple[str, Any]:
         return "tack", Annotated[list[GarmentValue] | None, option(entry, " Repeatable.", GarmentValue.parse_pair)]
     if entry.name == "garment":
         return entry.name, Annotated[list[str] | None, option(entry, " Repeatable, inner first.")]
+    if entry.flag.by_part and entry.kind in ("whole", "number"):
+        return entry.name, Annotated[list[GarmentValue] | None, option(entry, " Repeatable.", GarmentValue.parse_part)]
     parsers = {
         "whole": GarmentValue.parse_count,
         "number": GarmentValue.parse_number,
@@ -204,7 +222,7 @@ def _garment_flag(entry: Entry) -> tuple[str, Any]:
     return entry.name, Annotated[list[GarmentValue] | None, option(entry, more, parser)]
 
 
-def _of_parts(given: dict[str, Any], names: Sequence[str]) -> list[tuple[str, int, str, str]]:
+def _of_parts(given: dict[str, Any], names: Sequence[str]) -> list[tuple[str, int, str, Any]]:
     """Takes out of `given` what is for one part of a garment: the flag, number of the garment, part and value."""
     found = []
     for name in [each.name for each in described(WornGarment).values() if each.flag.by_part and each.name in given]:

@@ -97,6 +97,8 @@ def _piece(header: TrajectoryHeader, k: int, name: str, vertices: slice) -> Piec
         uv_faces=uv_faces,
         source=None,
         rest_uv=None if header.rest_uv is None else header.rest_uv[faces],
+        material_layers=None if header.material_layers is None else header.material_layers[faces],
+        trims=None if header.trims is None else header.trims[faces],
         polygons=None if header.polygons is None else own,
         appearances=None if header.appearances is None else header.appearances.at(faces),
     )

@@ -117,9 +117,11 @@ def on_source(trajectory: Trajectory) -> Trajectory:
     if track is None:
         return trajectory
     on_mesh, owners = source_motion(trajectory.header), source_garments(trajectory.header)
+    beneath, layers = track.triangle[track.faces[:, 0]], trajectory.header.material_layers
+    trims = trajectory.header.trims
     header = replace(
         trajectory.header,
-        metadata=_counted_anew(trajectory.header, owners, track.triangle[track.faces[:, 0]]),
+        metadata=_counted_anew(trajectory.header, owners, beneath),
         faces=track.faces,
         rest_positions=on_mesh(trajectory.header.rest_positions[None])[0],
         pinned=trajectory.header.pinned[trajectory.faces[track.triangle]].all(axis=1),
@@ -130,6 +132,9 @@ def on_source(trajectory: Trajectory) -> Trajectory:
         polygons=track.polygons,
         appearances=track.appearances,
         rest_uv=None,
+        material_layers=None if layers is None else layers[beneath],
+        # What elastic gathers is not gathered at rest on the author's mesh.
+        trims=None if trims is None else np.column_stack([trims[beneath, 0], np.ones(len(beneath))]),
     )
     return Trajectory(header, on_mesh(trajectory.positions), on_mesh(trajectory.velocities), trajectory.body_positions)
 

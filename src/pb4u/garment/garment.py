@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -13,7 +14,8 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.body.skinning import SkinningWeights, strongest_influences
 from pb4u.errors import InputError
 from pb4u.garment.material import DirectionalBending, Material
-from pb4u.geometry.appearance import Appearance, Appearances
+from pb4u.garment.trims import Trims
+from pb4u.geometry.appearance import Appearances
 from pb4u.geometry.mesh_arrays import as_numbers, checked_faces, checked_places, checked_vertices
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology, uv_islands
@@ -113,7 +115,13 @@ class Garment:
         panels: names of the pattern's panels, where it was sewn of one: each is an island of `uv_faces`, in the order
             of their first UV points.
         materials: cloths of its parts; left out, `material` alone.
-        face_material: (faces,) int64 which of the `materials` each face is made of; None where there is one at most.
+        face_material: (faces,) int64 which of the `materials` each face, or most of it, is made of; None where there
+            is one at most.
+        material_layers: (faces, materials) float64 number of layers of each of the `materials` on each face, in the
+            mean of its area; left out, each face is one layer of one.
+        trims: interfacing and elastic of its faces; None for none.
+        pieces: names of parts of its file, each once; left out, those of its `appearances`.
+        piece_of_face: (faces,) int64 which of the `pieces` each face belongs to, -1 for none; or None.
         springs: on which its pins are held; None where they hold exactly, and always.
 
     Raises:
@@ -137,6 +145,10 @@ class Garment:
     panels: tuple[str, ...] = ()
     materials: tuple[Material, ...] = ()
     face_material: np.ndarray | None = None
+    material_layers: np.ndarray | None = None
+    trims: Trims | None = None
+    pieces: tuple[str, ...] = ()
+    piece_of_face: np.ndarray | None = None
     springs: PinSprings | None = None
 
     def __post_init__(self) -> None:
@@ -169,13 +181,24 @@ class Garment:
             checked |= {"uvs": uvs, "uv_faces": uv_faces}
         for name, array in checked.items():
             object.__setattr__(self, name, array)
+        if self.material_layers is not None:
+            layers = as_numbers(owner, "material_layers", self.material_layers)
+            shape = len(self.faces), len(self.materials)
+            if layers.shape != shape or (layers < 0.0).any() or not layers.any(axis=1).all():
+                raise InputError(
+                    f"{owner}: its material_layers are numbers (faces, materials), {shape[0]} by {shape[1]}, zero or "
+                    "more, and some cloth on every face."
+                )
+            object.__setattr__(self, "material_layers", layers)
+            object.__setattr__(self, "face_material", layers.argmax(axis=1))
+        if self.trims is not None and self.trims.columns.shape != (len(self.faces), 2):
+            raise InputError(f"{owner}: its trims are numbers for each of its {len(self.faces)} faces.")
         if len(self.materials) == 1 and self.face_material is None:
             object.__setattr__(self, "face_material", np.zeros(len(self.faces), dtype=np.int64))
         if self.face_material is not None:
             places = checked_places(owner, "face_material", self.face_material, len(self.faces), len(self.materials))
-            covered = np.bincount(places, weights=self.face_areas, minlength=len(self.materials))
             object.__setattr__(self, "face_material", places)
-            object.__setattr__(self, "material", self.materials[int(covered.argmax())])
+            object.__setattr__(self, "material", self.materials[int((self.face_areas @ self.layers).argmax())])
         elif len(self.materials) > 1:
             raise InputError(f"{owner}: of {len(self.materials)} materials, face_material says which each face has.")
         object.__setattr__(self, "materials", tuple(self.materials) if self.face_material is not None else ())
@@ -217,22 +240,42 @@ class Garment:
     def parts(self) -> dict[str, np.ndarray]:
         """Faces (faces,) bool by the name of a part: what its file calls materials, and the panels of its pattern."""
         found: dict[str, np.ndarray] = {}
-        if self.appearances is not None:
+        if self.piece_of_face is not None:
+            found |= {name: self.piece_of_face == number for number, name in enumerate(self.pieces)}
+        elif self.appearances is not None:
             of_face = self.appearances.of_face
-            found |= {each.name: of_face == number for number, each in enumerate(self.appearances.listed)}
+            for number, each in enumerate(self.appearances.listed):
+                found[each.name] = found.get(each.name, False) | (of_face == number)
         if self.panels and self.uv_faces is not None:
             island = uv_islands(self.uv_faces)
             found |= {name: island == number for number, name in enumerate(self.panels)}
         return found
 
     def of_faces(self, name: str) -> np.ndarray:
-        """A property of the material of each face, (faces,) or (faces, numbers) in its unit.
+        """A property of the cloth of each face, (faces,) or (faces, numbers) in its unit; of several the mean by area.
+
+        What layers add up to is that of all of them: density, membrane, bending and thickness.
 
         Args:
             name: attribute of `Material`.
         """
+        of_each = np.array([getattr(cloth, name) for cloth in self._cloths], dtype=np.float64)
+        values = self.layers @ of_each
+        if self.material_layers is not None and name == "stiffening":
+            # Each cloth's limit counts by how much stiffer it grows there.
+            limits, growth = self.layers @ of_each.prod(axis=1), values[:, 1]
+            values[:, 0] = np.divide(limits, growth, out=np.zeros(len(values)), where=growth > 0.0)
+        elif self.material_layers is not None and name not in ("density", "membrane", "bending", "thickness"):
+            values /= self.layers.sum(axis=1)
+        return values if self.trims is None else self.trims.changed(name, values)
+
+    @cached_property
+    def layers(self) -> np.ndarray:
+        """Number of layers (faces, materials) of each material on each face, in the mean of its area."""
+        if self.material_layers is not None:
+            return self.material_layers
         places = np.zeros(len(self.faces), dtype=np.int64) if self.face_material is None else self.face_material
-        return np.array([getattr(cloth, name) for cloth in self._cloths], dtype=np.float64)[places]
+        return np.eye(max(len(self.materials), 1))[places]
 
     @cached_property
     def _cloths(self) -> tuple[Material, ...]:
@@ -250,12 +293,21 @@ class Garment:
 
     @cached_property
     def hinge_bending(self) -> np.ndarray:
-        """Bending coefficients (hinges,) [J]: two materials bend in series, each as wide as its face."""
+        """Bending coefficients (hinges,) [J]: two materials bend in series, each as wide as its face.
+
+        Bands run through faces beside each other, not from one to the other: there it is the mean by area.
+        """
         hinge_faces = self.topology.hinge_faces
         bending, areas = self._side_bending(hinge_faces), self.face_areas[hinge_faces]
         with np.errstate(divide="ignore", invalid="ignore"):
             series = areas.sum(axis=1) / (areas / bending).sum(axis=1)
-        return np.where(bending[:, 0] == bending[:, 1], bending[:, 0], series)
+        series = np.where(bending[:, 0] == bending[:, 1], bending[:, 0], series)
+        if self.material_layers is None and self.trims is None:
+            return series
+        is_band = (self.layers.max(axis=1) < 1.0) | (self.layers.sum(axis=1) > 1.0)
+        if self.trims is not None:
+            is_band |= self.trims.interfacing > 0.0
+        return np.where(is_band[hinge_faces].any(axis=1), (areas * bending).sum(axis=1) / areas.sum(axis=1), series)
 
     def _side_bending(self, hinge_faces: np.ndarray) -> np.ndarray:
         """Bending coefficients (hinges, 2) [J] of both sides, each by the edge's direction in its own panel."""
@@ -265,15 +317,14 @@ class Garment:
         corners = np.take_along_axis(self.rest_shape[hinge_faces], ends.argmax(axis=3)[..., None], axis=2)
         edges = corners[:, :, 1] - corners[:, :, 0]
         along_weft = edges[..., 0] ** 2 / (edges**2).sum(axis=2)
-        if self.face_material is None:
-            return self._cloths[0].hinge_coefficients(along_weft)
-        made_of = self.face_material[hinge_faces]
-        return np.choose(made_of, [cloth.hinge_coefficients(along_weft) for cloth in self._cloths])
+        of_each = np.stack([cloth.hinge_coefficients(along_weft) for cloth in self._cloths], axis=2)
+        bending = (of_each * self.layers[hinge_faces]).sum(axis=2)
+        return bending if self.trims is None else self.trims.at(hinge_faces).changed("bending", bending)
 
     @cached_property
     def vertex_masses(self) -> np.ndarray:
         """Masses (vertices,) [kg] of the vertices."""
-        if self.face_material is None:
+        if self.face_material is None and self.trims is None:
             return self.material.density * self.vertex_areas
         return self.at_vertices(self.of_faces("density") * self.face_areas)
 
@@ -313,7 +364,8 @@ class Garment:
         return len(self.faces)
 
     def with_material(self, material: Material) -> Garment:
-        return replace(self, material=material, materials=(), face_material=None)
+        other = replace(self, material=material, materials=(), face_material=None, material_layers=None)
+        return other if self.material_layers is None else other.with_layers((material,), self.layers.sum(1)[:, None])
 
     def with_part(self, material: Material, faces: np.ndarray) -> Garment:
         """With another material on some faces.
@@ -323,35 +375,21 @@ class Garment:
             faces: (faces,) bool.
         """
         own = self.materials or (self.material,)
-        places = np.zeros(len(self.faces), dtype=np.int64) if self.face_material is None else self.face_material
-        return replace(self, materials=(*own, material), face_material=np.where(faces, len(own), places))
+        layers = np.column_stack([np.where(faces[:, None], 0.0, self.layers), faces])
+        return self.with_layers((*own, material), layers)
+
+    def with_layers(self, materials: Sequence[Material], layers: np.ndarray) -> Garment:
+        """Made of other materials.
+
+        Args:
+            materials: of its faces.
+            layers: (faces, materials) number of layers of each on each face, in the mean of its area.
+        """
+        is_plain = bool((layers.max(axis=1) == 1.0).all() and (layers.sum(axis=1) == 1.0).all())
+        return replace(
+            self, materials=tuple(materials), face_material=layers.argmax(axis=1),
+            material_layers=None if is_plain else layers,
+        )  # fmt: skip
 
     def with_pins(self, pinned: np.ndarray) -> Garment:
         return replace(self, pinned=pinned)
-
-    def with_texture(self, image: bytes) -> Garment:
-        """Wearing an image: by its UVs, or from front and back where it has none.
-
-        Args:
-            image: content of a PNG or JPEG file.
-        """
-        listed = (Appearance("texture", image=image),)
-        garment = replace(self, appearances=Appearances(listed, np.zeros(len(self.faces), dtype=np.int64)))
-        source = self.source
-        if source is not None:
-            mesh = source.source
-            looks = Appearances(listed, np.zeros(len(mesh.polygons), dtype=np.int64))
-            uvs = (mesh.uvs, mesh.polygon_uvs) if mesh.uvs is not None else (_from_front(mesh.vertices), mesh.polygons)
-            mesh = replace(mesh, uvs=uvs[0], polygon_uvs=uvs[1], appearances=looks)
-            garment = replace(garment, source=replace(source, source=mesh))
-            return garment if self.uvs is not None else replace(garment, appearances=None)
-        if self.uvs is None:
-            return replace(garment, uvs=_from_front(self.vertices), uv_faces=self.faces)
-        return garment
-
-
-def _from_front(vertices: np.ndarray) -> np.ndarray:
-    """UVs (vertices, 2) that lay an image on from the front, as high as the garment and centred."""
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    flat = vertices[:, :2] - [0.5 * (low[0] + high[0]), low[1]]
-    return flat / max(high[1] - low[1], 1e-9) + [0.5, 0.0]

@@ -67,10 +67,12 @@ def authors_garment(path: str | Path, material: Material, most_triangles: int = 
     vertices = source.vertices[simulated]
     faces = np.searchsorted(simulated, faces)
     uv_faces = None if source.polygon_uvs is None else np.concatenate(source.polygon_uvs)[corners]
-    looks = None if source.appearances is None else source.appearances.at(surface.polygon[surface.kept])
+    polygon, pieces = surface.polygon[surface.kept], source.piece_of_polygon
+    looks = None if source.appearances is None else source.appearances.at(polygon)
     return Garment(
         path.stem, vertices, faces, material, uvs=source.uvs, uv_faces=uv_faces, appearances=looks,
-        source=map_to_same(source, simulated, vertices, faces),
+        source=map_to_same(source, simulated, vertices, faces), pieces=source.pieces,
+        piece_of_face=None if pieces is None else pieces[polygon],
     )  # fmt: skip
 
 

@@ -44,14 +44,19 @@ def remeshed(garment: Garment, triangles: int | None) -> Garment:
     if skinning is not None:
         triangle, barycentric = nearest_places(vertices, garment.vertices, garment.faces)
         skinning = skinning.at(garment.faces[triangle], barycentric)
-    parts = garment.face_material
-    if parts is not None:
-        parts = parts[nearest_places(vertices[faces].mean(axis=1), garment.vertices, garment.faces)[0]]
+    made, layers, trims, pieces = garment.face_material, garment.material_layers, garment.trims, garment.parts
+    place = np.full(len(garment.faces), -1)
+    for number, piece in enumerate(pieces.values()):
+        place[piece] = number
+    if made is not None or trims is not None or pieces:
+        nearest = nearest_places(vertices[faces].mean(axis=1), garment.vertices, garment.faces)[0]
+        made, layers = (None if values is None else values[nearest] for values in (made, layers))
+        place, trims = place[nearest], None if trims is None else trims.at(nearest)
     author = garment.mesh if garment.source is None else garment.source.source
     other = replace(
         garment, vertices=vertices, faces=faces, pinned=np.zeros(len(vertices), dtype=bool), uvs=None, uv_faces=None,
-        appearances=None, source=map_of(author), coarse_edges=(), skinning=skinning,
-        face_material=parts,
+        appearances=None, source=map_of(author), coarse_edges=(), skinning=skinning, trims=trims,
+        face_material=made, material_layers=layers, pieces=tuple(pieces), piece_of_face=place if pieces else None,
     )  # fmt: skip
     if not garment.pinned.any():
         return other

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from pb4u.errors import InputError, warn
 from pb4u.geometry.appearance import Appearance, Appearances, sound_image
-from pb4u.geometry.mesh_file import PolygonMesh, no_faces, require_sound, welded
+from pb4u.geometry.mesh_file import PolygonMesh, named_pieces, no_faces, require_sound, welded
 from pb4u.geometry.topology import joined_indices, offsets
 from pb4u.io.gltf_file import GltfFile, read_gltf
 from pb4u.io.reading_limits import refusing
@@ -23,12 +23,13 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 
 class _Part(NamedTuple):
-    """One primitive: (vertices, 3) [m], (faces, 3) int64, (vertices, 2) v upward or None, number of its material."""
+    """One primitive: (vertices, 3) [m], (faces, 3) int64, (vertices, 2) v upward or None, its material and name."""
 
     vertices: np.ndarray
     faces: np.ndarray
     uvs: np.ndarray | None
     material: int | None
+    name: str
 
 
 def read_gltf_mesh(path: Path) -> PolygonMesh:
@@ -43,7 +44,7 @@ def read_gltf_mesh(path: Path) -> PolygonMesh:
     file = read_gltf(path)
     with refusing(path, "cannot be read as a mesh"):
         parts = [
-            _part(file, primitive, placed)
+            _part(file, primitive, placed, file.entries("meshes")[mesh].get("name"))
             for mesh, placed in _placed(file)
             for primitive in file.entries("meshes")[mesh]["primitives"]
             if primitive.get("mode", _TRIANGLES) in (_TRIANGLES, _STRIP, _FAN)
@@ -57,10 +58,12 @@ def read_gltf_mesh(path: Path) -> PolygonMesh:
         vertices, faces = welded(vertices, corners)
         laid_on = any(part.uvs is not None for part in parts)
         looks = _appearances(file, parts, laid_on)
+        of_face = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
+        pieces, of_face = named_pieces([part.name for part in parts], of_face)
     if not laid_on:
-        return PolygonMesh(vertices, tuple(faces), appearances=looks)
+        return PolygonMesh(vertices, tuple(faces), None, None, looks, pieces, of_face)
     uvs = [np.zeros((len(part.vertices), 2)) if part.uvs is None else part.uvs for part in parts]
-    return PolygonMesh(vertices, tuple(faces), np.concatenate(uvs), tuple(corners), looks)
+    return PolygonMesh(vertices, tuple(faces), np.concatenate(uvs), tuple(corners), looks, pieces, of_face)
 
 
 def _placed(file: GltfFile) -> Iterator[tuple[int, np.ndarray]]:
@@ -96,8 +99,9 @@ def _transform(node: dict[str, Any]) -> np.ndarray:
     return transform
 
 
-def _part(file: GltfFile, primitive: dict[str, Any], placed: np.ndarray) -> _Part:
+def _part(file: GltfFile, primitive: dict[str, Any], placed: np.ndarray, mesh: object) -> _Part:
     attributes, material = primitive["attributes"], primitive.get("material")
+    piece = str((material is not None and file.entries("materials")[material].get("name")) or mesh or "")
     local = file.array(attributes["POSITION"]).astype(np.float64)
     vertices = local.reshape(len(local), 3) @ placed[:3, :3].T + placed[:3, 3]
     row = file.array(primitive["indices"]) if "indices" in primitive else np.arange(len(vertices))
@@ -115,11 +119,11 @@ def _part(file: GltfFile, primitive: dict[str, Any], placed: np.ndarray) -> _Par
     moved = texture.get("extensions", {}).get("KHR_texture_transform", {})
     name = f"TEXCOORD_{moved.get('texCoord', texture.get('texCoord', 0))}"
     if name not in attributes:
-        return _Part(vertices, faces, None, material)
+        return _Part(vertices, faces, None, material, piece)
     uvs = file.array(attributes[name]).astype(np.float64).reshape(len(vertices), 2)
     # A turn, which this extension can give too, is not read: no exporter of garments writes one.
     uvs = uvs * np.array(moved.get("scale", (1.0, 1.0))) + np.array(moved.get("offset", (0.0, 0.0)))
-    return _Part(vertices, faces, np.stack([uvs[:, 0], 1.0 - uvs[:, 1]], axis=1), material)
+    return _Part(vertices, faces, np.stack([uvs[:, 0], 1.0 - uvs[:, 1]], axis=1), material, piece)
 
 
 def _colour_and_texture(file: GltfFile, material: int | None) -> tuple[list[float] | None, dict[str, Any]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from pkgutil import resolve_name
@@ -40,6 +40,8 @@ class PolygonMesh:
         uvs: (uv points, 2) float64 or None.
         polygon_uvs: UV indices of each polygon's corners, or None.
         appearances: colours and images of the polygons, where the file has any.
+        pieces: names that the file gives to polygons, each once, whatever they look like.
+        piece_of_polygon: (polygons,) int64 which of the `pieces` each polygon belongs to, -1 for none; or None.
     """
 
     vertices: np.ndarray
@@ -47,6 +49,20 @@ class PolygonMesh:
     uvs: np.ndarray | None = None
     polygon_uvs: tuple[np.ndarray, ...] | None = None
     appearances: Appearances | None = None
+    pieces: tuple[str, ...] = ()
+    piece_of_polygon: np.ndarray | None = None
+
+
+def named_pieces(names: Sequence[str], of_polygon: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
+    """The `pieces` and `piece_of_polygon` of a mesh; those of one name are one, and those of none are left out.
+
+    Args:
+        names: of parts of the file.
+        of_polygon: (polygons,) int64 which of them each polygon belongs to.
+    """
+    pieces = tuple(dict.fromkeys(name for name in names if name))
+    place = {name: number for number, name in enumerate(pieces)}
+    return pieces, np.array([place.get(name, -1) for name in names], dtype=np.int64)[of_polygon]
 
 
 def read_mesh(path: Path, refuse_large: Callable[[int], None]) -> PolygonMesh:

@@ -17,7 +17,7 @@ import numpy as np
 
 from pb4u.errors import InputError, on_disk, warn
 from pb4u.geometry.appearance import Appearance, Appearances, read_mtl, write_mtl
-from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.geometry.mesh_file import PolygonMesh, named_pieces
 from pb4u.io.atomic_file import replace_file
 from pb4u.io.mtl_file import joined_lines, named_libraries, text_of
 
@@ -64,28 +64,28 @@ def read_obj(path: Path) -> PolygonMesh:
             uv_corners, uvs = np.where(bare, len(uvs), uv_corners), np.concatenate([uvs, np.zeros((1, 2))])
         _refuse_out_of_range(path, content.faces, uv_corners, len(uvs), ends, "texture coordinate")
         polygon_uvs = tuple(np.split(uv_corners, ends[:-1]))
-    used = [(0, ""), *content.used]
-    looks = _appearances(path, len(ends), used, polygon_uvs is not None)
+    starts, names = zip((0, ""), *content.used, strict=True)
+    of_face = np.searchsorted(starts, np.arange(len(ends)), side="right") - 1
+    looks = _appearances(path, names, of_face, polygon_uvs is not None)
     polygons = tuple(np.split(corners, ends[:-1]))
-    return PolygonMesh(vertices, polygons, None if polygon_uvs is None else uvs, polygon_uvs, looks)
+    pieces = named_pieces(names, of_face)
+    return PolygonMesh(vertices, polygons, None if polygon_uvs is None else uvs, polygon_uvs, looks, *pieces)
 
 
-def _appearances(path: Path, count: int, used: list[tuple[int, str]], laid_on: bool) -> Appearances | None:
-    """Appearances of `count` faces; `used` names the material that begins at a face; images need `laid_on`."""
+def _appearances(path: Path, used: Sequence[str], of_face: np.ndarray, laid_on: bool) -> Appearances | None:
+    """Appearances of faces, `of_face` (faces,) which of the `used` materials each has; images need `laid_on`."""
     known: dict[str, Appearance] = {}
     for name, library in named_libraries(path):
         if library is not None:
             known |= read_mtl(library)
         elif len(used) > 1:
             warn(f"{path.name}: the MTL file {name[:60]} is missing; put it beside the file to see its colours.")
-    listed = [known[name] for name in dict.fromkeys(name for _, name in used) if name in known]
+    listed = [known[name] for name in dict.fromkeys(used) if name in known]
     if not listed:
         return None
     places = {each.name: k for k, each in enumerate(listed)}
-    starts = np.array([start for start, _ in used])
-    of_part = np.array([places.get(name, -1) for _, name in used])
-    of_face = of_part[np.searchsorted(starts, np.arange(count), side="right") - 1]
-    return Appearances(tuple(each if laid_on else replace(each, image=None) for each in listed), of_face)
+    of_part = np.array([places.get(name, -1) for name in used])
+    return Appearances(tuple(each if laid_on else replace(each, image=None) for each in listed), of_part[of_face])
 
 
 def read_obj_vertices(path: Path) -> tuple[np.ndarray, bytes]:

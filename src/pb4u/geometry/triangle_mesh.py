@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 
@@ -119,3 +120,56 @@ def carried_directions(directions: np.ndarray, corners: np.ndarray, others: np.n
     """
     shares = directions[:, None] @ np.linalg.pinv(corners[:, 1:] - corners[:, :1])
     return (shares @ (others[:, 1:] - others[:, :1]))[:, 0]
+
+
+def shares_below(values: np.ndarray, level: float) -> np.ndarray:
+    """Share (faces,) of each face's area on which a quantity that is linear on faces is below a level.
+
+    Args:
+        values: (faces, 3) of the quantity at the corners, in any unit.
+        level: in the same unit.
+    """
+    low, middle, high = np.sort(values, axis=1).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        below = (level - low) ** 2 / ((middle - low) * (high - low))
+        above = (high - level) ** 2 / ((high - low) * (high - middle))
+    shares = np.where(middle >= level, below, 1.0 - above)
+    return np.where(low >= level, 0.0, np.where(high <= level, 1.0, shares))
+
+
+def both_below(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Whether (faces,) bool some of a face has two quantities below zero that are linear on it.
+
+    Args:
+        one: (faces, 3) at the corners, in any unit.
+        other: (faces, 3) of the other, in any unit.
+    """
+    # Two half-planes that meet within a triangle meet on one of its edges.
+    first, last = np.zeros(one.shape), np.ones(one.shape)
+    for values in (one, other):
+        ends = np.roll(values, -1, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            zero = values / (values - ends)
+        first = np.maximum(first, np.where(values < 0.0, 0.0, np.where(ends < 0.0, zero, 1.0)))
+        last = np.minimum(last, np.where(ends < 0.0, 1.0, np.where(values < 0.0, zero, 0.0)))
+    return np.asarray((last - first > 1e-6).any(axis=1))
+
+
+def nearest_segments(points: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The nearest of some segments to each point, among those of the nearest middles, for segments of about one length.
+
+    Args:
+        points: (points, 3) [m].
+        starts: (segments, 3) of the segments [m].
+        ends: (segments, 3) likewise.
+
+    Returns:
+        Segment (points,) int64 and the distance (points,) to it [m].
+    """
+    count = min(8, len(starts))
+    near = cKDTree(0.5 * (starts + ends)).query(points, k=count)[1].reshape(len(points), count)
+    along, way = ends[near] - starts[near], points[:, None] - starts[near]
+    at = np.clip((way * along).sum(axis=2) / np.maximum((along**2).sum(axis=2), 1e-30), 0.0, 1.0)
+    distances = np.linalg.norm(way - at[..., None] * along, axis=2)
+    best = distances.argmin(axis=1)[:, None]
+    return np.take_along_axis(near, best, axis=1)[:, 0], np.take_along_axis(distances, best, axis=1)[:, 0]

@@ -1,8 +1,8 @@
 """The garments of a run. Whatever a garment comes from, it goes through the same stages in the same order:
 
-1. **Read**: its mesh, in the material of the run. Parts of other materials, flat panels (`rest_uv`) and their names,
-   UVs, images, pins and skinning are those of its source, and come from nowhere else. Built-in garments and patterns
-   are made here, on the body that wears them and with as many triangles as are asked for.
+1. **Read**: its mesh, in the material of the run. Names of pieces, flat panels (`rest_uv`), UVs, images, pins and
+   skinning are those of its source, and come from nowhere else. Built-in garments and patterns are made here, on the
+   body that wears them and with as many triangles as are asked for.
 2. **Place**: a garment that stands around the own origin of a body's model is moved to where that body stands. Other
    units, axes and places are refused, here or in the check.
 3. **Remesh**: parts, pins, skinning and the map to the author's mesh are found again on other triangles. What is sewn
@@ -11,6 +11,7 @@
 5. **Hold**: the pins that are asked for; else its own; else the straps, waistband or collar that are found.
 6. **Check**: what the body does not wear is refused or told of, and limbs that go through the cloth go inside it.
 7. **Grain**: of what has none of its own, that which is given, or that of UVs in metres, those of its author's mesh.
+8. **Parts**: fabrics, further layers, interfacing and elastic on pieces that its source names and bands along borders.
 
 Without a body a garment is used as its file has it: what is made on a body is refused, and the rest is not compared
 with one.
@@ -28,7 +29,7 @@ import numpy as np
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.vertex_sequence import VertexSequence
-from pb4u.errors import InputError, InputNote, refuse_unknown, warn
+from pb4u.errors import InputError, InputNote, warn
 from pb4u.garment.diagnosis import require_fine, require_metres, require_near, require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.fit import RestBody
@@ -39,11 +40,13 @@ from pb4u.garment.layering import worn_order
 from pb4u.garment.library import DICTIONARIES, LEVELS, SEWN, RestShape, build_garment, garment_names
 from pb4u.garment.limbs_inside import with_limbs_inside
 from pb4u.garment.material import Material, load_material
+from pb4u.garment.parts import with_parts
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
 from pb4u.garment.source_map import remeshed
 from pb4u.garment.support import Support, find_support
 from pb4u.garment.tacks import tacked
+from pb4u.garment.texture import textured
 from pb4u.geometry.appearance import read_image
 from pb4u.geometry.mesh_file import MOST_READ
 from pb4u.options import NONE
@@ -106,13 +109,15 @@ def load_garment(worn: WornGarment, body: Body, rest_shape: RestShape = Run.rest
     garment = tacked(garment, worn.tacks)
     garment, support = hold(garment, body, kind, worn.pins)
     garment = grained(check(garment, body, kind, support, worn.garment), worn.grain)
+    materials = {name: _material(each) for name, each in worn.materials.items() if name != REST}
+    garment = with_parts(garment, materials, worn.band_width, worn.layers, worn.interfacing, worn.elastic)
     if not garment.has_grain and any(each.has_grain for each in garment.materials or (garment.material,)):
         warn(
             f"{garment.name} has no grain, so its cloth is the same in all directions; --grain 0,1,0 makes its warp "
             "run upwards.",
             InputNote,
         )
-    return garment if worn.texture is None else garment.with_texture(read_image(Path(worn.texture)))
+    return garment if worn.texture is None else textured(garment, read_image(Path(worn.texture)))
 
 
 class Kind(NamedTuple):
@@ -213,14 +218,10 @@ def read(worn: WornGarment, body: Body, rest_shape: RestShape = Run.rest_shape) 
     Raises:
         InputError: it cannot be read, or is not for this body.
     """
-    materials, kind = dict(worn.materials), kind_of(worn.garment)
+    kind = kind_of(worn.garment)
     if body is None and kind.is_fitted:
         raise InputError(f"{worn.name} is made on the body that wears it, and body {NONE} has none; give a mesh file.")
-    garment = kind.read(worn, body, _material(materials.pop(REST, DEFAULT_MATERIAL)), rest_shape)
-    refuse_unknown("part", materials, garment.parts, f"The garment {garment.name}")
-    for part, material in materials.items():
-        garment = garment.with_part(_material(material), garment.parts[part])
-    return garment
+    return kind.read(worn, body, _material(worn.materials.get(REST, DEFAULT_MATERIAL)), rest_shape)
 
 
 def _material(material: str | Path | Material) -> Material:

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
+from pb4u.garment.trims import Trims
 from pb4u.geometry.appearance import Appearances
 from pb4u.geometry.topology import joined_indices, offsets
 from pb4u.scene.author_mesh import Polygons, SourceTrack, joined_uvs
@@ -38,6 +40,9 @@ class TrajectoryHeader:
             that a garment has one; NaN for those of garments whose rest shape is `rest_positions`; None where all are.
         polygons: the faces before they were cut into triangles, where this mesh is the author's own; or None.
         appearances: colours and images of the faces, where their author gave any.
+        material_layers: (faces, materials) float64 number of layers of each of the `materials` in `metadata` on each
+            face, in the mean of its area; None where each face is one layer of one.
+        trims: (faces, 2) float64 interfacing [N m] and elastic of the faces, as `Trims`; None where there are none.
     """
 
     faces: np.ndarray
@@ -54,6 +59,8 @@ class TrajectoryHeader:
     polygons: Polygons | None = None
     rest_uv: np.ndarray | None = None
     appearances: Appearances | None = None
+    material_layers: np.ndarray | None = None
+    trims: np.ndarray | None = None
 
     @staticmethod
     def of(scene: Scene, metadata: dict[str, Any]) -> TrajectoryHeader:
@@ -102,6 +109,8 @@ class TrajectoryHeader:
             source=SourceTrack.joined(garments),
             rest_uv=_joined_rest(garments),
             appearances=Appearances.joined([g.appearances for g in garments], [len(g.faces) for g in garments]),
+            material_layers=_joined_layers(garments),
+            trims=_joined_trims(garments),
         )
 
     @staticmethod
@@ -123,7 +132,7 @@ class TrajectoryHeader:
             members["faces"], members["rest_positions"], members["pinned"], members["vertex_garment"],
             members["body_faces"], members["body_contact"], float(members["fps"]), metadata,
             members.get("uvs"), members.get("uv_faces"), source, Polygons.from_members(members), members.get("rest_uv"),
-            Appearances.from_members(members),
+            Appearances.from_members(members), members.get("material_layers"), members.get("trims"),
         )  # fmt: skip
 
     @property
@@ -187,6 +196,18 @@ def _joined_rest(garments: Sequence[Garment]) -> np.ndarray | None:
         return None
     parts = (np.full((len(g.faces), 3, 2), np.nan) if g.rest_uv is None else g.rest_uv for g in garments)
     return np.concatenate(list(parts))
+
+
+def _joined_layers(garments: Sequence[Garment]) -> np.ndarray | None:
+    if all(garment.material_layers is None for garment in garments):
+        return None
+    return block_diag(*(garment.layers for garment in garments))
+
+
+def _joined_trims(garments: Sequence[Garment]) -> np.ndarray | None:
+    if all(garment.trims is None for garment in garments):
+        return None
+    return np.concatenate([(g.trims or Trims.none(len(g.faces))).columns for g in garments])
 
 
 @dataclass(frozen=True, eq=False)

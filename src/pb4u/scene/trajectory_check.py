@@ -30,6 +30,8 @@ _LAYOUT: Layout = {
     "uvs": ("f", ("uv points", 2)),
     "uv_faces": ("iu", ("faces", 3)),
     "rest_uv": ("f", ("faces", 3, 2)),
+    "material_layers": ("f", ("faces", "materials")),
+    "trims": ("f", ("faces", 2)),
     "appearances": ("u", ("appearance bytes",)),
     "appearance_images": ("u", ("image bytes",)),
     "appearance_of_face": ("iu", ("faces",)),
@@ -96,12 +98,18 @@ def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, 
             Appearances.from_members(members, prefix)
         except (ValueError, LookupError, TypeError, AttributeError):
             raise refuse(f"its {prefix}appearances cannot be read") from None
-    for name in ("fps", "rest_positions", "uvs", "source_barycentric", "source_uvs"):
+    for name in ("fps", "rest_positions", "uvs", "source_barycentric", "source_uvs", "material_layers", "trims"):
         if name in members and not np.isfinite(members[name]).all():
             raise refuse(f"{name} is not finite")
     if not 1e-3 <= members["fps"] <= 1e5:
         raise refuse(f"{float(members['fps']):g} frames per second")
-    return _metadata(str(members["metadata"]), path, refuse)
+    metadata = _metadata(str(members["metadata"]), path, refuse)
+    listed = metadata.get("materials")
+    if "material_layers" in members and not (isinstance(listed, list) and len(listed) == counts["materials"]):
+        raise refuse("material_layers and the materials in its metadata do not agree")
+    if "trims" in members and not (members["trims"][:, 1] > 0.0).all():
+        raise refuse("the elastic in its trims is not positive")
+    return metadata
 
 
 def _metadata(text: str, path: Path, refuse: Any) -> dict[str, Any]:

@@ -126,6 +126,10 @@ def _header_members(header: TrajectoryHeader) -> dict[str, np.ndarray]:
     }
     if header.rest_uv is not None:
         members["rest_uv"] = header.rest_uv.astype(np.float64)
+    if header.material_layers is not None:
+        members["material_layers"] = header.material_layers.astype(np.float64)
+    if header.trims is not None:
+        members["trims"] = header.trims.astype(np.float64)
     members |= _looks(header, "")
     if header.source is not None:
         members |= {

@@ -1,0 +1,283 @@
+"""Parts of a garment by name: pieces that its file or its pattern names, and bands along its borders.
+
+A band is all cloth within a width of a border. Borders are told apart by where they are as worn at rest, whatever the
+garment comes from: an opening beside the middle is that of a limb, the others go round neck, waist or the lower end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pb4u.errors import InputError, refuse_unknown
+from pb4u.garment.garment import Garment
+from pb4u.garment.material import Material
+from pb4u.garment.trims import Trims
+from pb4u.geometry.topology import connected_labels, uv_islands
+from pb4u.geometry.triangle_mesh import both_below, carried_directions, nearest_segments, shares_below
+
+WIDTHS = {"hem": 0.02, "waist": 0.035, "cuff": 0.03, "collar": 0.02, "border": 0.01}
+"""Names of bands, and their usual widths [m]."""
+
+_BESIDE = 0.2
+"""Share of half a garment's width by which the border round a limb lies beside its middle."""
+
+_OPEN = 0.5
+"""Share of a garment's height that the border of an open front spans."""
+
+_END = 0.1
+"""Share of a garment's height up to which such a border is hem or collar."""
+
+_LEGS = 0.15
+"""Share of a garment's height up to which borders of legs reach down; those of arms end above."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Some cloth of a garment that has a name.
+
+    Args:
+        name: of the part.
+        is_band: whether it lies along a border.
+        beyond: (faces, 3) float64 at the corners of the faces, linear between, what lies beyond it being positive.
+        along: (faces, 3) direction of the nearest border of the garment that the part reaches, where it is worn; None
+            where it reaches none.
+    """
+
+    name: str
+    is_band: bool
+    beyond: np.ndarray
+    along: np.ndarray | None
+
+    @cached_property
+    def share(self) -> np.ndarray:
+        """Share (faces,) of each face's area that belongs to it."""
+        return shares_below(self.beyond, 0.0)
+
+
+class Parts:
+    """The parts of a garment.
+
+    Args:
+        garment: where it is worn.
+    """
+
+    def __init__(self, garment: Garment) -> None:
+        self._garment = garment
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parts, those of its file or pattern first."""
+        return tuple(dict.fromkeys((*self.pieces, *self.borders)))
+
+    @property
+    def pieces(self) -> dict[str, np.ndarray]:
+        """Faces (faces,) bool of what its file calls materials and of the panels of its pattern, by name."""
+        return self._garment.parts
+
+    @cached_property
+    def borders(self) -> dict[str, np.ndarray]:
+        """Edges (edges, 2) int64 of its borders by the name of their band."""
+        loops = self._garment.topology.boundary_loops
+        if not loops:
+            return {}
+        edges, vertices = [np.column_stack([loop, np.roll(loop, -1)]) for loop in loops], self._garment.vertices
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        tall, middle, half = high[1] - low[1], 0.5 * (low[0] + high[0]), 0.5 * (high[0] - low[0])
+        level = np.array([vertices[loop, 1].mean() for loop in loops])
+        beside = np.array([abs(vertices[loop, 0].mean() - middle) > _BESIDE * half for loop in loops])
+        around, limbs = np.flatnonzero(~beside), np.flatnonzero(beside)
+        found: dict[str, list[np.ndarray]] = {}
+        legs = limbs[:0]
+        if len(around):
+            top = max(around, key=lambda k: vertices[loops[k], 1].max())
+            is_open = np.ptp(vertices[loops[top], 1]) > _OPEN * tall
+            if len(around) == 1 and not is_open:
+                reach = np.array([vertices[loop, 1].min() for loop in loops])
+                legs = limbs[reach[limbs] < low[1] + _LEGS * tall]
+            upper = "waist" if len(legs) == len(limbs) else "collar"
+            if is_open:
+                ends = vertices[edges[top]]
+                heights, ways = ends[..., 1].mean(axis=1), ends[:, 1] - ends[:, 0]
+                is_level = np.abs(ways[:, 1]) < 0.5 * np.linalg.norm(ways, axis=1)
+                found[upper] = [edges[top][heights > heights.max() - _END * tall]]
+                found["hem"] = [edges[top][(heights < heights.min() + _END * tall) & is_level]]
+            else:
+                found[upper] = [edges[top]]
+                lowest = around[level[around].argmin()]
+                found["hem"] = [edges[k] for k in legs] if len(around) == 1 else [edges[lowest]]
+            found["cuff"] = [edges[k] for k in np.setdiff1d(limbs, legs)]
+        found["border"] = edges
+        return {name: np.concatenate(each) for name, each in found.items() if each}
+
+    def named(self, name: str, width: float | None = None) -> Part:
+        """A part by name.
+
+        Args:
+            name: one of `names`.
+            width: of a band [m]; None for its usual one.
+
+        Raises:
+            InputError: it is not there, a piece is given a width, or a band is wider than the panels that it lies on.
+        """
+        garment = self._garment
+        refuse_unknown("part", [name], self.names, f"The garment {garment.name}")
+        if name in self.pieces:
+            if width is not None:
+                raise InputError(
+                    f"{garment.name}: {name} is a part of its file, which has a width already; leave it out."
+                )
+            faces = self.pieces[name]
+            of_piece = garment.topology.edge_faces[:, 0]
+            rim = garment.topology.edges[(garment.topology.edge_face_counts == 1) & faces[of_piece]]
+            beyond = np.where(faces[:, None], [-1.0, -1.0, -1.0], 1.0)
+            return Part(name, False, beyond, self._along(rim) if len(rim) else None)
+        rim = self.borders[name]
+        return Part(name, True, self._beyond(name, rim, WIDTHS[name] if width is None else width), self._along(rim))
+
+    def _along(self, rim: np.ndarray) -> np.ndarray:
+        """Direction (faces, 3) [m] of the nearest of some edges (edges, 2)."""
+        vertices = self._garment.vertices
+        starts, ends = vertices[rim].swapaxes(0, 1)
+        middles = vertices[self._garment.faces].mean(axis=1)
+        ways: np.ndarray = (ends - starts)[nearest_segments(middles, starts, ends)[0]]
+        return ways
+
+    def _beyond(self, name: str, rim: np.ndarray, width: float) -> np.ndarray:
+        """How far [m] the corners (faces, 3) of the faces are beyond a width of some border edges (edges, 2)."""
+        garment = self._garment
+        distances = nearest_segments(garment.vertices, *garment.vertices[rim].swapaxes(0, 1))[1]
+        self._refuse_wide(name, rim, distances, width)
+        # What is near without being joined to the border by what is near is other cloth.
+        one, other = garment.topology.edges.T
+        near = np.minimum(distances[one], distances[other]) < width
+        label = connected_labels(len(distances), one[near], other[near])
+        joined = np.isin(label, label[rim])[garment.faces].all(axis=1)
+        return np.where(joined[:, None], distances[garment.faces] - width, 1.0)
+
+    def _refuse_wide(self, name: str, rim: np.ndarray, distances: np.ndarray, width: float) -> None:
+        """Refuse a band that is wider than a panel along its border, or than the cloth where that has no panels."""
+        garment = self._garment
+        if garment.source is None and garment.uv_faces is not None:
+            panel = uv_islands(garment.uv_faces)
+        else:
+            panel = garment.topology.piece_of_vertex[garment.faces[:, 0]]
+        reach = np.zeros(int(panel.max()) + 1)
+        np.maximum.at(reach, panel, distances[garment.faces].max(axis=1))
+        on_rim = np.isin(garment.faces, rim).sum(axis=1) > 1
+        narrowest = float(reach[panel[on_rim]].min())
+        if width > narrowest:
+            raise InputError(
+                f"{garment.name}: its {name} of {width:g} m is wider than the panel that it lies on, which reaches "
+                f"{narrowest:.3f} m; give a smaller band_width."
+            )
+
+
+def with_parts(
+    garment: Garment,
+    materials: Mapping[str, Material],
+    widths: Mapping[str, float],
+    layers: Mapping[str, float],
+    interfacing: Mapping[str, float],
+    elastic: Mapping[str, float],
+) -> Garment:
+    """A garment with fabrics, further layers, interfacing and elastic on parts of it; bands lie over pieces.
+
+    Args:
+        garment: where it is worn.
+        materials: of parts by name.
+        widths: of bands by name [m].
+        layers: number of layers of parts by name.
+        interfacing: bending stiffness that is added to parts by name [N m].
+        elastic: rest length of parts along their border over that of the cloth, by name.
+
+    Raises:
+        InputError: a part is not there or has nothing, a band is wider than its panel, two parts claim a face, or
+            elastic lies on a part that reaches no border.
+    """
+    asked = (materials, layers, interfacing, elastic)
+    names = tuple(dict.fromkeys(name for given in (*asked, widths) for name in given))
+    if not names:
+        return garment
+    known = Parts(garment)
+    parts = [known.named(name, widths.get(name)) for name in names]
+    for name in widths:
+        if not any(name in given for given in asked):
+            raise InputError(f"{garment.name}: its {name} has a band_width and nothing that makes it a band.")
+    cloths, cloth = list(garment.materials or (garment.material,)), garment.layers
+    before = garment.trims or Trims.none(len(garment.faces))
+    stiff, pulls = before.interfacing, _pull(before.elastic)
+    for is_band in (False, True):
+        chosen = [part for part in parts if part.is_band == is_band]
+        _refuse_claims(garment, chosen)
+        left = np.maximum(1.0 - sum((part.share for part in chosen), np.zeros(len(stiff))), 0.0)
+        count, beneath = cloth.sum(axis=1), (cloth, stiff, pulls)
+        cloth, stiff, pulls = left[:, None] * cloth, left * stiff, left * pulls
+        for part in chosen:
+            made = part.share * layers.get(part.name, count)
+            if part.name in materials:
+                cloths.append(materials[part.name])
+                cloth = np.column_stack([cloth, made])
+            else:
+                cloth[:, : beneath[0].shape[1]] += (made / count)[:, None] * beneath[0]
+            stiff += part.share * interfacing.get(part.name, beneath[1])
+            # What is shared out by area is the pull of the elastic where it is as long as the cloth.
+            pulls += part.share * (_pull(elastic[part.name]) if part.name in elastic else beneath[2])
+    if materials or layers:
+        garment = garment.with_layers(cloths, cloth)
+    if interfacing or elastic:
+        garment = replace(garment, trims=Trims(stiff, 1.0 / _stretches(pulls)))
+    if garment.trims is not None and elastic:
+        gathered = _gathered(
+            garment, [part for part in parts if part.name in elastic], garment.trims.elastic / before.elastic
+        )
+        garment = replace(garment, rest_uv=gathered, grainless=not garment.has_grain)
+    return garment
+
+
+def _pull(ratio: Any) -> Any:
+    """Twice the share of its modulus by which elastic pulls where it is as long as its cloth, by its ratio to that."""
+    return ratio**-3 - ratio**-1
+
+
+def _stretches(pulls: np.ndarray) -> np.ndarray:
+    """Stretches (n,) of elastic that pulls as `_pull` says, by that."""
+    stretch = np.full(len(pulls), 2.0)
+    # From above Newton's steps never pass the root.
+    for _ in range(30):
+        stretch -= (stretch**3 - stretch - pulls) / (3.0 * stretch**2 - 1.0)
+    return np.where(pulls == 0.0, 1.0, stretch)
+
+
+def _refuse_claims(garment: Garment, parts: list[Part]) -> None:
+    """Refuse parts that lie over each other."""
+    for k, one in enumerate(parts):
+        for other in parts[:k]:
+            both = np.count_nonzero(both_below(one.beyond, other.beyond))
+            if both:
+                raise InputError(
+                    f"{garment.name}: {other.name} and {one.name} both claim {both} of its faces; leave one out, or "
+                    "give a smaller band_width."
+                )
+
+
+def _gathered(garment: Garment, parts: list[Part], ratio: np.ndarray) -> np.ndarray:
+    """Corners (faces, 3, 2) [m] of faces at rest that are shorter along the border, by a `ratio` (faces,)."""
+    rest, corners = garment.rest_shape, garment.vertices[garment.faces]
+    gathered = rest.copy()
+    for part in parts:
+        if part.along is None:
+            raise InputError(
+                f"{garment.name}: elastic runs along a border of the garment, and {part.name} reaches none; give it to "
+                "a part that does."
+            )
+        at = part.share > 0.0
+        ways = carried_directions(part.along[at], corners[at], rest[at])
+        ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-30)
+        along = (rest[at] * ways[:, None]).sum(axis=2, keepdims=True)
+        gathered[at] = rest[at] - (1.0 - ratio[at, None, None]) * along * ways[:, None]
+    return gathered

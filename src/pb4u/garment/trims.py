@@ -1,0 +1,61 @@
+"""What is sewn to the cloth of a garment: interfacing and elastic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Trims:
+    """Interfacing and elastic of the faces of a garment; of a face that has a share of them, the mean by area.
+
+    Elastic gathers cloth: all of its mass lies on the length that the elastic has, and its threads do not stiffen
+    before the elastic is as long as the cloth.
+
+    Args:
+        interfacing: (faces,) float64 bending stiffness that is added to that of the cloth [N m].
+        elastic: (faces,) float64 rest length along the border over that of the cloth.
+    """
+
+    interfacing: np.ndarray
+    elastic: np.ndarray
+
+    @staticmethod
+    def none(count: int) -> Trims:
+        """Those of faces without any.
+
+        Args:
+            count: number of faces.
+        """
+        return Trims(np.zeros(count), np.ones(count))
+
+    @property
+    def columns(self) -> np.ndarray:
+        """Both side by side, (faces, 2)."""
+        return np.stack([self.interfacing, self.elastic], axis=1)
+
+    def at(self, faces: np.ndarray) -> Trims:
+        """Those of some faces.
+
+        Args:
+            faces: (...) int64.
+        """
+        return Trims(self.interfacing[faces], self.elastic[faces])
+
+    def changed(self, name: str, values: np.ndarray) -> np.ndarray:
+        """A property of the cloth beneath as it is with all of this, in its unit.
+
+        Args:
+            name: attribute of `Material`.
+            values: (faces,) or (faces, numbers) of the cloth beneath.
+        """
+        if name == "density":
+            return values / self.elastic
+        if name == "bending":
+            return values + 4.0 * self.interfacing
+        if name == "stiffening":
+            strain, growth = values.T
+            return np.stack([(1.0 + strain) / np.minimum(self.elastic, 1.0) - 1.0, growth], axis=1)
+        return values
