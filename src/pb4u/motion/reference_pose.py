@@ -11,8 +11,8 @@ from pb4u.geometry.rotation import between, from_axis_angle, multiply, rotate
 from pb4u.motion.correspondences import ROLE_INDEX, ROLES
 
 _SEGMENT_ENDS = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
-# Below this bend the rest pose does not determine the plane of an elbow.
-_STRAIGHT = np.deg2rad(10.0)
+# Of an elbow that is bent, or short of folded up, by less than 10 degrees the rest pose does not determine the plane.
+_STRAIGHT = np.sin(np.deg2rad(10.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class ReferencePose:
         for side, sign in (("L", 1.0), ("R", -1.0)):
             upper, fore = directions[f"upper_arm.{side}"], directions[f"forearm.{side}"]
             across = fore - np.dot(fore, upper) * upper
-            if np.arctan2(np.linalg.norm(across), np.dot(fore, upper)) < _STRAIGHT:
+            if np.linalg.norm(across) < _STRAIGHT:
                 lateral = np.array([sign, 0.0, 0.0])
                 folding = np.array(t_pose_elbow_flexion) * np.array([sign, 1.0, 1.0])
                 across = rotate(between(lateral, upper), folding)
