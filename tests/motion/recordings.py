@@ -73,7 +73,7 @@ BVH_NAMES = {
         },
     }
 }  # fmt: skip
-_BVH_OFFSETS = {
+BVH_OFFSETS = {
     "Hips": (0, 100, 0), "Spine": (0, 10, 0), "Spine1": (0, 12, 0), "Spine2": (0, 12, 0), "Neck": (0, 18, 0),
     "Head": (0, 10, 3), "UpLeg": (9, -5, 0), "Leg": (0, -43, 0), "Foot": (0, -42, 0), "ToeBase": (0, -8, 14),
     "Shoulder": (6, 12, 0), "Arm": (12, 0, 0), "ForeArm": (27, 0, 0), "Hand": (25, 0, 0),
@@ -110,7 +110,7 @@ def write_bvh(
     def block(name: str, depth: int) -> list[str]:
         order_of.append(name)
         part = name.removeprefix("Left").removeprefix("Right")
-        offset = np.array(_BVH_OFFSETS[part]) * ([-1, 1, 1] if name.startswith("Right") else [1, 1, 1])
+        offset = np.array(BVH_OFFSETS[part]) * ([-1, 1, 1] if name.startswith("Right") else [1, 1, 1])
         pad = "  " * depth
         shown = prefix + (renamed or {}).get(name, name)
         channels = [f"{axis}rotation" for axis in order]

@@ -8,6 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+_OPPOSITE = 3e-8
+"""Angle [rad] below half a turn at which rounding hides the axis between two directions."""
+
 
 def matrix_from_quaternion(quaternion: Tensor) -> Tensor:
     """Rotation matrices (..., 3, 3) of wxyz quaternions (..., 4), normalised first.
@@ -214,14 +217,19 @@ def from_euler(angles: np.ndarray, order: str, degrees: bool = True) -> np.ndarr
 
 
 def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Smallest rotation that takes one direction to another.
+    """Smallest rotation that takes one direction to another; between opposite ones, one of the half turns.
 
     Args:
         a: (..., 3) unit vectors.
-        b: (..., 3) unit vectors, none opposite to its `a`.
+        b: (..., 3) unit vectors.
 
     Returns:
         (..., 4) unit quaternions wxyz.
     """
     q = np.concatenate([1.0 + np.sum(a * b, axis=-1, keepdims=True), np.cross(a, b)], axis=-1)
-    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+    size = np.linalg.norm(q, axis=-1, keepdims=True)
+    across = np.cross(a, np.eye(3)[np.abs(a).argmin(axis=-1)])
+    half = np.concatenate([np.zeros_like(across[..., :1]), across], axis=-1)
+    opposite = size < _OPPOSITE
+    q = np.where(opposite, half, q)
+    return q / np.where(opposite, np.linalg.norm(half, axis=-1, keepdims=True), size)

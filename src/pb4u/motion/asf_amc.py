@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from pb4u.body.bone_names import unknown_bones
 from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import conjugate, from_euler, multiply, rotate
 from pb4u.io.reading_limits import refusing
-from pb4u.motion.correspondences import CMU
+from pb4u.motion.correspondences import roles_of
 from pb4u.motion.recording import Recording, finite_frames
 
 # The database names no rate; its trials were captured at 120 Hz.
@@ -92,9 +93,11 @@ def read_amc(path: Path) -> Recording:
     """
     asf = find_asf(path)
     rest = read_asf(asf)
-    if missing := sorted(CMU.bones - set(rest.skeleton.names)):
+    bones, parents = rest.skeleton.names, rest.skeleton.parents.tolist()
+    source = roles_of(bones, parents)
+    if source is None:
         raise InputError(
-            f"{asf} lacks the bones {', '.join(missing[:6])} of a CMU skeleton; rename its bones as the database does."
+            f"{asf}: its bones are of no human; {unknown_bones(bones, parents)}: rename them as the database does."
         )
     names, values, degrees = _read_frames(path, rest, asf)
     frames = len(values)
@@ -118,7 +121,7 @@ def read_amc(path: Path) -> Recording:
                         root_positions[:, "xyz".index(channel[1])] = block[:, k]
     root_positions = rotate(rest.axes[0], root_positions)
     poses = PoseSequence(world_rotations(local, skeleton.parents), root_positions, CAPTURE_RATE)
-    return Recording(path.stem, CMU, skeleton, poses).with_vertical_legs()
+    return Recording(path.stem, source, skeleton, poses).with_vertical_legs()
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,24 +1,29 @@
-"""Biovision hierarchy files (.bvh) with the joint names of CMU conversions, Mixamo and Poser / DAZ."""
+"""Biovision hierarchy files (.bvh) of human skeletons, whatever their joints are called and rest in."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from pb4u.body.bone_names import SCHEMES, unknown_bones
 from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_euler, rotate
 from pb4u.io.reading_limits import refusing
 from pb4u.io.stored_numbers import unrounded_rate
-from pb4u.motion.correspondences import BVH_SOURCES, SkeletonRoles
+from pb4u.motion.correspondences import SkeletonRoles, roles_of
 from pb4u.motion.recording import Recording, finite_frames, require_rate
+from pb4u.motion.rest_pose import standing_at_rest
 
 _HEADING = 200
 """Characters of the MOTION section that hold its number of frames and its frame time."""
 _STRETCH = 0.01
 """Share of the length of a leg by which joints may move against their parents without a word."""
+_END, _LONGEST = -2, 80
+"""What stands for the end of a chain, which is no joint, and the characters of a name that count."""
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 
 
@@ -32,14 +37,14 @@ class _Joint:
 
 
 def read_bvh(path: Path) -> Recording:
-    """Recording in a BVH file, in its own unit of length, turned to face forward on vertical legs.
+    """Recording in a BVH file, in its own unit of length, Y up, from a rest pose that stands on vertical legs.
 
     Args:
         path: the .bvh.
 
     Raises:
         InputError: it is cut short or malformed (naming the joint or frame), has no frames or no frame time, or its
-            joints are not of a known skeleton.
+            joints are not of a known skeleton, or make no person in its frames.
     """
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     head, motion, tail = text.partition("MOTION")
@@ -61,7 +66,7 @@ def read_bvh(path: Path) -> Recording:
         local[:, i] = from_euler(values[:, turning[::-1]], order) if turning else [1.0, 0.0, 0.0, 0.0]
         rest[i] = (rest[joint.parent] if joint.parent >= 0 else 0.0) + joint.offset
     parents = np.array([joint.parent for joint in joints], dtype=np.int64)
-    skeleton = Skeleton(tuple(_plain(joint.name) for joint in joints), parents, rest)
+    skeleton = Skeleton(tuple(joint.name for joint in joints), parents, rest)
     rotations = world_rotations(local, parents)
     root_positions = _places(joints[0], values)
     # The pelvis need not be the root: what moves it against those above it moves the whole body.
@@ -75,7 +80,7 @@ def read_bvh(path: Path) -> Recording:
     if ignored:
         note = f"{path.stem}: bones keep their lengths; the positions of {', '.join(ignored[:6])} are not followed."
         recording = replace(recording, notes=(note,))
-    return recording.facing_forward().with_vertical_legs()
+    return standing_at_rest(recording, path).with_vertical_legs()
 
 
 def _places(joint: _Joint, values: np.ndarray) -> np.ndarray:
@@ -96,35 +101,31 @@ def _chain(joints: list[_Joint], joint: int) -> set[int]:
     return chain
 
 
-def _plain(name: str) -> str:
-    """A joint name without the namespace that exporters put before it ("mixamorig:Hips")."""
-    return name.rpartition(":")[2]
-
-
 def _hierarchy(text: str) -> list[_Joint]:
     words = iter(text.split()[1:])
     joints: list[_Joint] = []
     parents: list[int] = []
-    name, count, end_site = "", 0, False
+    name, count = "", 0
     for word in words:
         keyword = word.upper()
         if keyword in ("ROOT", "JOINT"):
-            name = next(words, "")
+            # Up to the brace, since 3ds Max puts spaces into names; without the namespace that exporters put before it.
+            name = " ".join(iter(partial(next, words, "{"), "{")).rpartition(":")[2][:_LONGEST]
             if keyword == "ROOT" and joints:
                 raise ValueError(f'a second root, "{name}"; a recording of one person has one')
+            while any(name == joint.name for joint in joints):
+                name += "'"
+            joints.append(_Joint(name, parents[-1] if parents else -1, np.zeros(3), (), count))
+            parents.append(len(joints) - 1)
         elif keyword == "END":
-            next(words, "")
-            end_site = True
-        elif keyword == "{":
-            if not end_site:
-                joints.append(_Joint(name, parents[-1] if parents else -1, np.zeros(3), (), count))
-            parents.append(-2 if end_site else len(joints) - 1)
+            if [next(words, "").upper(), next(words, "")] != ["SITE", "{"]:
+                raise ValueError(f'the end after joint "{name}" is no "End Site"')
+            parents.append(_END)
         elif keyword == "}":
             parents.pop()
-            end_site = False
         elif keyword == "OFFSET":
             offset = np.array([float(next(words, "")) for _ in range(3)])
-            if not end_site:
+            if parents[-1] != _END:
                 joints[-1] = replace(joints[-1], offset=offset)
         elif keyword == "CHANNELS":
             channels = tuple(next(words, "") for _ in range(int(next(words, ""))))
@@ -140,17 +141,15 @@ def _hierarchy(text: str) -> list[_Joint]:
 
 
 def _source(path: Path, joints: list[_Joint]) -> SkeletonRoles:
-    names = {_plain(joint.name) for joint in joints}
-    for source in BVH_SOURCES:
-        if source.bones <= names:
-            return source
-    nearest = max(BVH_SOURCES, key=lambda source: len(source.bones & names) / len(source.bones))
-    missing = sorted(nearest.bones - names)
-    raise InputError(
-        f"{path}: its joints ({', '.join(sorted(names)[:6])}, ..) are of no known skeleton; the nearest is "
-        f"{nearest.family}, of which {', '.join(missing[:6])} are missing: rename the joints like one of "
-        f"{', '.join(source.family for source in BVH_SOURCES)}."
-    )
+    names = [joint.name for joint in joints]
+    parents = [joint.parent for joint in joints]
+    source = roles_of(names, parents)
+    if source is None:
+        raise InputError(
+            f"{path}: its joints ({', '.join(sorted(names)[:6])}, ..) are of no known skeleton; "
+            f"{unknown_bones(names, parents)}: rename the joints like one of {', '.join(SCHEMES)}."
+        )
+    return source
 
 
 def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:

@@ -6,15 +6,22 @@ name, or a `Blend` of two where the other skeleton divides the body elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
+from pb4u.body.bone_names import human_bones
 from pb4u.body.joint_names import LIMB_BONES, SIDES
 
 TORSO_ROLES = ("pelvis", "spine_lower", "spine_middle", "spine_upper", "neck_lower", "neck_upper", "head")
 LIMB_ROLES = ("clavicle", "upper_arm", "forearm", "forearm_end", "hand", "thigh", "shin", "foot", "toes")
 ROLES = TORSO_ROLES + tuple(f"{role}.{side}" for side in "LR" for role in LIMB_ROLES)
+SEGMENTS: Mapping[str, str] = {
+    f"{upper}.{side}": f"{lower}.{side}"
+    for upper, lower in (("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shin"), ("shin", "foot"))
+    for side in "LR"
+}
+"""Limb role -> the one whose joint marks its lower end."""
 ROLE_INDEX: Mapping[str, int] = {role: i for i, role in enumerate(ROLES)}
 FORWARD = (0.0, 0.0, 1.0)
 """Direction in which a straight forearm folds in a T-pose facing +Z."""
@@ -54,15 +61,6 @@ class SkeletonRoles:
     elbow_flexion: tuple[float, float, float] = FORWARD
     same_as: tuple[str, ...] = ()
 
-    @property
-    def bones(self) -> frozenset[str]:
-        """Names of the bones that the recording must have."""
-        return frozenset(
-            bone
-            for part in self.roles.values()
-            for bone in ((part.first, part.second) if isinstance(part, Blend) else (part,))
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class TargetMap:
@@ -79,45 +77,81 @@ class TargetMap:
     partial: bool = False
 
 
-# Role -> bone, or blend of bones, in the columns' skeletons. Of a limb role `{}` stands for the side.
-_COLUMNS = ("CMU ASF", "CMU BVH (cgspeed)", "CMU BVH (MotionBuilder)", "Poser / DAZ BVH", "Mixamo", "SMPL")
-_SIDE_WORDS = (("l", "r"), ("Left", "Right"), ("Left", "Right"), ("l", "r"), ("Left", "Right"), ("left", "right"))
-_PARTS: Mapping[str, tuple[Part, ...]] = {
-    "pelvis": ("root", "Hips", "Hips", "hip", "Hips", "pelvis"),
-    "spine_lower": ("lowerback", "LowerBack", "lowerback", Blend("hip", "abdomen", 0.67), "Spine", "spine1"),
-    "spine_middle": ("upperback", "Spine", "Chest", "abdomen", "Spine1", "spine2"),
-    "spine_upper": ("thorax", "Spine1", "Chest2", "chest", "Spine2", "spine3"),
-    "neck_lower": ("lowerneck", "Neck", "lowerneck", "neck", "Neck", "neck"),
-    "neck_upper": (
-        "upperneck", "Neck1", "Neck", Blend("neck", "head"), Blend("Neck", "Head"), Blend("neck", "head"),
-    ),
-    "head": ("head", "Head", "Head", "head", "Head", "head"),
-    "clavicle": ("{}clavicle", "{}Shoulder", "{}Collar", "{}Collar", "{}Shoulder", "{}_collar"),
-    "upper_arm": ("{}humerus", "{}Arm", "{}Shoulder", "{}Shldr", "{}Arm", "{}_shoulder"),
-    "forearm": ("{}radius", "{}ForeArm", "{}Elbow", "{}ForeArm", "{}ForeArm", "{}_elbow"),
-    "forearm_end": ("{}wrist", "{}ForeArm", "{}Elbow", "{}ForeArm", "{}ForeArm", "{}_elbow"),
-    "hand": ("{}hand", "{}Hand", "{}Wrist", "{}Hand", "{}Hand", "{}_wrist"),
-    "thigh": ("{}femur", "{}UpLeg", "{}Hip", "{}Thigh", "{}UpLeg", "{}_hip"),
-    "shin": ("{}tibia", "{}Leg", "{}Knee", "{}Shin", "{}Leg", "{}_knee"),
-    "foot": ("{}foot", "{}Foot", "{}Ankle", "{}Foot", "{}Foot", "{}_ankle"),
-    "toes": ("{}toes", "{}ToeBase", "{}Toe", "{}Foot", "{}ToeBase", "{}_foot"),
-}  # fmt: skip
 # The humerus and radius of the CMU skeleton turn about axes that stand 30 degrees off the vertical in its T-pose.
 _CMU_ELBOW = (0.0, 0.5, 3**0.5 / 2)
+_CMU_BONES = {"lhipjoint", "lowerback"}
+_SPINE_ROLES = TORSO_ROLES[1:4]
+_LIMB_JOINTS = {role: bone.replace("{}_", "") for role, bone in LIMB_BONES["smpl"].items()}
 
 
-def _recorded_skeletons() -> Iterator[SkeletonRoles]:
-    for column, (family, words) in enumerate(zip(_COLUMNS, _SIDE_WORDS, strict=True)):
-        roles = {role: _PARTS[role][column] for role in TORSO_ROLES}
-        for side, word in zip("LR", words, strict=True):
-            roles |= {f"{role}.{side}": str(_PARTS[role][column]).format(word) for role in LIMB_ROLES}
-        elbow = _CMU_ELBOW if family.startswith("CMU") else FORWARD
-        yield SkeletonRoles(family, roles, elbow, ("smpl", "smplh", "smplx") if family == "SMPL" else ())
+def roles_of(names: Sequence[str], parents: Sequence[int]) -> SkeletonRoles | None:
+    """Roles of the bones of a human, whatever they are called (`pb4u.body.bone_names`); None where they are not one's.
+
+    Of a spine or neck of other than the usual bones roles are taken part of the way between its bones; without toes,
+    collar bones or a neck the bones that these would hang on play their roles.
+
+    Args:
+        names: of the bones, each once, parents before children.
+        parents: index of each parent, -1 of a root.
+    """
+    human = human_bones(names, parents)
+    if human is None:
+        return None
+    chest, head = names[human.spine[-1]], names[human.joints["head"]]
+    spine = [names[bone] for bone in (human.pelvis, *human.spine)]
+    neck = [names[bone] for bone in human.neck]
+    roles: dict[str, Part] = {"pelvis": spine[0], "head": head}
+    roles |= {role: _along(spine, k / len(_SPINE_ROLES)) for k, role in enumerate(_SPINE_ROLES, 1)}
+    if neck:
+        roles |= {"neck_lower": neck[0], "neck_upper": neck[-1] if len(neck) > 1 else Blend(neck[0], head)}
+    else:
+        roles |= {"neck_lower": _along([chest, head], 1 / 3), "neck_upper": _along([chest, head], 2 / 3)}
+    if not set(human.spine) <= set(_above(human.joints["head"], parents)):
+        return None
+    limbs: dict[str, int] = {}
+    for side, word in (("L", "left"), ("R", "right")):
+        found = {role: human.joints.get(f"{word}_{joint}") for role, joint in _LIMB_JOINTS.items()}
+        bones = {role: bone for role, bone in found.items() if bone is not None}
+        bones = {"clavicle": human.spine[-1], "toes": bones["foot"], **bones}
+        bones["forearm_end"] = int(parents[bones["hand"]])
+        limbs |= {f"{role}.{side}": bone for role, bone in bones.items()}
+    if any(limbs[upper] not in _above(limbs[lower], parents) for upper, lower in SEGMENTS.items()):
+        return None
+    roles |= {role: names[bone] for role, bone in limbs.items()}
+    cmu = {name.casefold() for name in names} >= _CMU_BONES
+    return SkeletonRoles("CMU" if cmu else "human", roles, _CMU_ELBOW if cmu else FORWARD)
 
 
-CMU, _CGSPEED, _MOTIONBUILDER, _POSER, _MIXAMO, SMPL = _recorded_skeletons()
-# In this order: the bones of Mixamo are a part of those of cgspeed.
-BVH_SOURCES = (_CGSPEED, _MIXAMO, _MOTIONBUILDER, _POSER)
+def _above(bone: int, parents: Sequence[int]) -> list[int]:
+    """Bones that a bone hangs on."""
+    above = []
+    while parents[bone] >= 0:
+        bone = int(parents[bone])
+        above.append(bone)
+    return above
+
+
+def _along(bones: Sequence[str], share: float) -> Part:
+    """The bone, or blend of two, at a share of the way from the first of some bones to the last."""
+    place = share * (len(bones) - 1)
+    first = int(place + 1e-9)
+    amount = place - first
+    return bones[first] if amount < 1e-9 else Blend(bones[first], bones[first + 1], amount)
+
+
+SMPL = SkeletonRoles(
+    "SMPL",
+    {
+        "pelvis": "pelvis", "spine_lower": "spine1", "spine_middle": "spine2", "spine_upper": "spine3",
+        "neck_lower": "neck", "neck_upper": Blend("neck", "head"), "head": "head",
+        **{
+            f"{role}.{side}": LIMB_BONES["smpl"][role.replace("_end", "")].format(word)
+            for side, word in zip("LR", SIDES["smpl"], strict=True)
+            for role in LIMB_ROLES
+        },
+    },
+    same_as=("smpl", "smplh", "smplx"),
+)  # fmt: skip
 
 
 def _joints(family: str) -> dict[str, str]:

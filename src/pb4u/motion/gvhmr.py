@@ -42,7 +42,7 @@ def read_gvhmr(path: Path) -> Recording:
         )
     arrays = {name: _array(path, name, value) for name, value in parameters.items() if value is not None}
     poses, translations = full_poses(path, arrays)
-    recording = smpl_recording(path, poses, translations, _RATE)
+    recording = smpl_recording(path, poses, translations, _RATE, told_by="its program")
     notes = (*recording.notes, *shape_note(path, arrays.get("betas")))
     return replace(recording, notes=notes, from_video=True)
 

@@ -222,7 +222,7 @@ def reachable_distance(distance: np.ndarray, leg: float) -> np.ndarray:
 
 
 def level_heading(rotation: np.ndarray) -> np.ndarray:
-    """Turn about Y in rotations: the twist part of their swing-twist decomposition.
+    """Turn about Y in rotations: the twist part of their swing-twist decomposition; none of a half turn on the level.
 
     Args:
         rotation: (frames, 4) unit quaternions wxyz.
@@ -231,7 +231,8 @@ def level_heading(rotation: np.ndarray) -> np.ndarray:
         (frames, 4) unit quaternions wxyz.
     """
     twist = rotation * np.array([1.0, 0.0, 1.0, 0.0])
-    return twist / np.linalg.norm(twist, axis=-1, keepdims=True)
+    size = np.linalg.norm(twist, axis=-1, keepdims=True)
+    return np.where(size > 1e-9, twist / np.maximum(size, 1e-9), [1.0, 0.0, 0.0, 0.0])
 
 
 def _frame_to_frame(rest_along: np.ndarray, rest_pole: np.ndarray, along: np.ndarray, pole: np.ndarray) -> np.ndarray:

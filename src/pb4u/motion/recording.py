@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pb4u.body.skeleton import PoseSequence, Skeleton, branch, joint_positions
 from pb4u.errors import InputError
-from pb4u.geometry.rotation import about_axis, between, conjugate, from_xyzw, multiply, rotate, slerp, spline
+from pb4u.geometry.rotation import about_axis, between, conjugate, multiply, rotate, slerp, spline
 from pb4u.motion.correspondences import ROLES, Blend, SkeletonRoles
 from pb4u.motion.reference_pose import leg_length
 
@@ -77,25 +76,6 @@ class Recording:
             frames = place.astype(np.int64)
             return PoseSequence(rotations[frames], roots[frames], fps)
         return PoseSequence(spline(rotations, place), PchipInterpolator(np.arange(len(roots)), roots)(place), fps)
-
-    def facing_forward(self) -> Recording:
-        """The same performance in axes in which the reference pose has Y up, faces +Z and has its left at +X.
-
-        The reference pose is taken to stand along the axes of its file, whichever they are.
-        """
-        hips, ankles = (np.stack([self.joint(f"{role}.{side}") for side in "LR"]) for role in ("thigh", "foot"))
-        left = _nearest_axis(hips[0] - hips[1])
-        up = _nearest_axis(hips.sum(axis=0) - ankles.sum(axis=0))
-        axes = np.stack([left, up, np.cross(left, up)])
-        if np.array_equal(axes, np.eye(3)) or np.dot(left, up) != 0.0:
-            return self
-        q = from_xyzw(Rotation.from_matrix(axes).as_quat())
-        rotations = multiply(multiply(q, self.poses.rotations), conjugate(q))
-        return replace(
-            self,
-            skeleton=replace(self.skeleton, joints=self.skeleton.joints @ axes.T),
-            poses=PoseSequence(rotations, self.poses.root_positions @ axes.T, self.poses.fps),
-        )
 
     def stood_up(self, up: np.ndarray) -> Recording:
         """The same performance turned so that `up` (3,), of length 1, is up along Y.
@@ -203,11 +183,6 @@ def require_rate(fps: float, path: Path) -> None:
             f"{path}: the frame rate is {fps:g}; it should be a positive number of frames per second, from "
             f"{_RATES[0]:g} to {_RATES[1]:g}."
         )
-
-
-def _nearest_axis(v: np.ndarray) -> np.ndarray:
-    k = int(np.argmax(np.abs(v)))
-    return np.sign(v[k]) * np.eye(3)[k]
 
 
 def finite_frames(values: np.ndarray, path: Path) -> np.ndarray:

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pb4u.geometry.rotation import between, from_axis_angle, multiply, rotate
-from pb4u.motion.correspondences import ROLE_INDEX, ROLES
+from pb4u.motion.correspondences import ROLE_INDEX, ROLES, SEGMENTS
 
-_SEGMENT_ENDS = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
-# Below this bend the rest pose does not determine the plane of an elbow.
-_STRAIGHT = np.deg2rad(10.0)
+# Of an elbow that is bent, or short of folded up, by less than 10 degrees the rest pose does not determine the plane.
+_STRAIGHT = np.sin(np.deg2rad(10.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,16 +36,12 @@ class ReferencePose:
             joint: position (3,) of the upper joint of a limb role, in any unit.
             t_pose_elbow_flexion: direction in which the left forearm folds in a T-pose; for straight elbows.
         """
-        directions = {
-            f"{role}.{side}": _unit(joint(f"{end}.{side}") - joint(f"{role}.{side}"))
-            for role, end in _SEGMENT_ENDS.items()
-            for side in "LR"
-        }
+        directions = {upper: _unit(joint(lower) - joint(upper)) for upper, lower in SEGMENTS.items()}
         flexion = {}
         for side, sign in (("L", 1.0), ("R", -1.0)):
             upper, fore = directions[f"upper_arm.{side}"], directions[f"forearm.{side}"]
             across = fore - np.dot(fore, upper) * upper
-            if np.arctan2(np.linalg.norm(across), np.dot(fore, upper)) < _STRAIGHT:
+            if np.linalg.norm(across) < _STRAIGHT:
                 lateral = np.array([sign, 0.0, 0.0])
                 folding = np.array(t_pose_elbow_flexion) * np.array([sign, 1.0, 1.0])
                 across = rotate(between(lateral, upper), folding)

@@ -9,10 +9,13 @@ import numpy as np
 
 from pb4u.body.animated_body import FLOOR_PERCENTILE
 from pb4u.body.body_model import ShapedBody
-from pb4u.body.skeleton import PoseSequence
+from pb4u.body.skeleton import PoseSequence, joint_positions
 from pb4u.body.skinning import SkinnedSurface, SkinningWeights, bone_transforms
+from pb4u.errors import InputError
 from pb4u.geometry.rotation import about_axis, conjugate, multiply, rotate
 from pb4u.motion.arm_clearance import ArmClearance, eased, held_off, reach
+from pb4u.motion.bone_axes import unit
+from pb4u.motion.correspondences import SEGMENTS
 from pb4u.motion.ground import stances
 from pb4u.motion.humanoid import humanoid_of
 from pb4u.motion.motion import Motion, Performed
@@ -24,6 +27,9 @@ _FLOOR_SAMPLES = 240
 # Where feet stand, that is the lowest of the levels they stand on: no more than this [m] above the lowest frames, which
 # holds the toes that dip as a foot rolls off, and no stair.
 _LEVEL = 0.06
+# Frames that are compared with the recording, and how far [deg] a limb may point from there; a trunk, whose rest
+# differs from body to body, may farther.
+_LIKENESS_SAMPLES, _UNLIKE, _UNLIKE_TRUNK = 12, 20.0, 30.0
 # What is turned by less [deg] is not worth a word.
 _LEAST_TOLD = 1.0
 
@@ -37,6 +43,9 @@ class Retargeting:
     Args:
         recording: the performance.
         body: the body that repeats it.
+
+    Raises:
+        InputError: its bones play no known roles, or the body would not follow the recording.
     """
 
     def __init__(self, recording: Recording, body: ShapedBody) -> None:
@@ -51,6 +60,8 @@ class Retargeting:
         self.turn = conjugate(heading(first.rotations[0, 0]))
         self.origin = rotate(self.turn, first.root_positions[0]) * np.array([1.0, 0.0, 1.0])
         self.origin[1] = self._floor()
+        if not self.direct:
+            self._require_likeness()
 
     def poses(self, times: np.ndarray) -> PoseSequence:
         """Poses of the body at `times` (frames,) [s] of the recording.
@@ -72,6 +83,32 @@ class Retargeting:
     def arm_clearance(self) -> ArmClearance:
         """Where the arms of the body may be."""
         return ArmClearance(self.humanoid)
+
+    def _require_likeness(self) -> None:
+        """Refuse a recording of which limbs or trunk of the body point elsewhere than its own joints do.
+
+        Raises:
+            InputError: they do by more than proportions of a body explain.
+        """
+        recording, skeleton = self.recording, self.humanoid.body.skeleton
+        times = np.unique(np.linspace(0.0, recording.duration, _LIKENESS_SAMPLES))
+        own = rotate(self.turn, joint_positions(recording.skeleton, recording.sampled(times)))
+        body = joint_positions(skeleton, self.poses(times))
+        places = {
+            role: np.stack([own[:, recording.joint_index(role)], body[:, skeleton.index(bone)]])
+            for role, bone in self.humanoid.target.joints.items()
+        }
+        places |= {role: 0.5 * (places[f"{role}.L"] + places[f"{role}.R"]) for role in ("upper_arm", "thigh")}
+        for first, second in (*SEGMENTS.items(), ("thigh", "upper_arm")):
+            theirs, ours = unit(places[second] - places[first])
+            apart = np.rad2deg(np.arccos(np.clip(np.median(np.sum(ours * theirs, axis=1)), -1.0, 1.0)))
+            plain = first[:-2].replace("_", " ") if "." in first else "trunk"
+            if apart > (_UNLIKE if "." in first else _UNLIKE_TRUNK):
+                raise InputError(
+                    f"{recording.name}: on {self.humanoid.body.name} the {plain} points "
+                    f"{apart:.0f} degrees away from where the recording has it: its rest pose is not one that a person "
+                    "stands in; export it again from a T-pose."
+                )
 
     def _floor(self) -> float:
         """Height [m] of the floor under the body: under the feet that stand, or under its lowest moments."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
+from pb4u.body.skeleton import PoseSequence, Skeleton, joint_positions, world_rotations
 from pb4u.body.smpl import JOINT_NAMES
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_axis_angle, multiply, rotate
@@ -18,10 +18,19 @@ from pb4u.io.reading_limits import names_text
 from pb4u.io.stored_numbers import stored_numbers
 from pb4u.motion.correspondences import SMPL
 from pb4u.motion.recording import Recording, finite_frames, require_rate
+from pb4u.motion.up_axis import floor_misfit
 
 _FAMILY_OF_WIDTH = {3 * len(names): family for family, names in JOINT_NAMES.items()}
-_Z_UP_TO_Y_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
-_Y_DOWN_TO_Y_UP = np.array([0.0, 1.0, 0.0, 0.0])
+ToldBy: TypeAlias = Literal["its program", "its keys", "nothing"]
+"""What tells which axis of a file is up: the one program that writes it, what usually has its keys, or nothing."""
+_AXES = {"Y": np.array([0.0, 1.0, 0.0]), "Z": np.array([0.0, 0.0, 1.0]), "-Y": np.array([0.0, -1.0, 0.0])}
+_TO_Y_UP = {"Z": np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0]), "-Y": np.array([0.0, 1.0, 0.0, 0.0])}
+# Share of its length that the pelvis' upward axis has along another on average where it plainly points there.
+_PLAIN = 0.7
+# Places of the pelvis in bodies at rest [m]: not taken in, of SMPL and of SMPL-X.
+_PELVES = np.array([[0.0, 0.0, 0.0], [0.0, -0.22, 0.03], [0.0, -0.35, 0.01]])
+# A floor fits better by so much [m], and not at all beyond so much.
+_BETTER, _NO_FLOOR = 0.05, 0.5
 
 # A pose file holds no skeleton. This one has the proportions of an average adult in round numbers [m]; it serves to
 # scale the travel to other bodies and to tell how limbs rest, in a T-pose with the legs a little apart.
@@ -50,7 +59,7 @@ _SLIGHT_BETA, _BETAS_TOLD = 0.05, 4
 
 
 def read_amass(path: Path) -> Recording:
-    """An AMASS recording (Mahmood et al. 2019) of SMPL, SMPL-H or SMPL-X; Z is up.
+    """An AMASS recording (Mahmood et al. 2019) of SMPL, SMPL-H or SMPL-X, with Z up as AMASS has it.
 
     A note reports its `betas` and `gender`: any body may perform the motion.
 
@@ -76,7 +85,7 @@ def read_amass(path: Path) -> Recording:
     betas, gender = (_optional(path, key) for key in ("betas", "gender"))
     if rate.size != 1 or not all(a.dtype.kind in "iuf" for a in (poses, translations, rate)):
         raise InputError(f"{path}: poses, trans and {rate_key} should be numbers, the last a single one.")
-    recording = smpl_recording(path, poses, translations, float(rate.reshape(-1)[0]), z_up=True)
+    recording = smpl_recording(path, poses, translations, float(rate.reshape(-1)[0]), z_up=True, told_by="its keys")
     return replace(recording, notes=(*recording.notes, *shape_note(path, betas, gender)))
 
 
@@ -147,11 +156,16 @@ def vto_recording(path: Path, content: Any) -> Recording:
         if root.shape != (len(poses), 3):
             raise InputError(f"{path}: global_orient has the shape {root.shape}, not ({len(poses)}, 3).")
         poses = np.concatenate([root, poses], axis=1)
-    return smpl_recording(path, poses, translations, _VTO_RATE)
+    return smpl_recording(path, poses, translations, _VTO_RATE, told_by="its keys")
 
 
 def smpl_recording(
-    path: Path, poses: np.ndarray, translations: np.ndarray, fps: float, z_up: bool = False
+    path: Path,
+    poses: np.ndarray,
+    translations: np.ndarray,
+    fps: float,
+    z_up: bool = False,
+    told_by: ToldBy = "nothing",
 ) -> Recording:
     """A recording from pose parameters of the SMPL family.
 
@@ -160,8 +174,9 @@ def smpl_recording(
         poses: (frames, 72, 156 or 165) rotation vectors of the joints, each from its parent [rad].
         translations: (frames, 3) [m].
         fps: frames per second; NaN where the file does not tell.
-        z_up: whether files of this kind have Z up; the other axis is taken where the pelvis plainly stands on it, and
-            Y down where it plainly hangs from it.
+        z_up: whether files of this kind have Z up, in the place of Y.
+        told_by: what tells that. But for the program, another axis is taken where people stand along it and a floor at
+            0 fits better; where none fits, the pelvis may tell.
 
     Raises:
         InputError: a shape is wrong, there are no frames or values that are not finite.
@@ -179,19 +194,44 @@ def smpl_recording(
     numbers = np.concatenate([poses, translations], axis=1, dtype=np.float64)
     local = from_axis_angle(finite_frames(numbers, path)[:, :-3].reshape(len(poses), -1, 3))
     sequence = PoseSequence(world_rotations(local, skeleton.parents), numbers[:, -3:], fps)
-    _, y, z = rotate(sequence.rotations[:, 0], np.array([0.0, 1.0, 0.0])).mean(0)
+    usual = "Z" if z_up else "Y"
+    axis = usual if told_by == "its program" else _up_axis(skeleton, sequence, usual, told_by)
     notes: tuple[str, ...] = ()
-    if (z_up and abs(y) > 0.7 > abs(z)) or (not z_up and z > 0.7 > abs(y)):
-        z_up = not z_up
-        notes = (f"{path.name}: taken as {'Z' if z_up else 'Y'} up, which is where the pelvis points.",)
-    if not z_up and y < -0.7:  # the axes of a camera; none have Z down
-        rotations, roots = multiply(_Y_DOWN_TO_Y_UP, sequence.rotations), sequence.root_positions * [1.0, -1.0, -1.0]
-        sequence = PoseSequence(rotations, roots, fps)
+    if axis == "-Y":  # the axes of a camera; none have Z down
         notes = (f"{path.name}: turned by 180 degrees about X, since the pelvis points down, as in axes of a camera.",)
-    if z_up:
-        rotations = multiply(_Z_UP_TO_Y_UP, sequence.rotations)
-        sequence = PoseSequence(rotations, rotate(_Z_UP_TO_Y_UP, sequence.root_positions), fps)
+    elif axis != usual:
+        notes = (f"{path.name}: taken as {axis} up, which is where the pelvis points.",)
+    if axis in _TO_Y_UP:
+        turn = _TO_Y_UP[axis]
+        sequence = PoseSequence(multiply(turn, sequence.rotations), rotate(turn, sequence.root_positions), sequence.fps)
     return Recording(path.stem, SMPL, skeleton, sequence, notes)
+
+
+def _up_axis(skeleton: Skeleton, sequence: PoseSequence, usual: str, told_by: ToldBy) -> str:
+    """The axis that is up: the usual one, or another that the pelvis plainly points along on average.
+
+    That counts where a floor at 0 fits better there. Where it fits on neither, the pelvis decides for the axes of a
+    camera, and for any where nothing tells.
+    """
+    _, y, z = rotate(sequence.rotations[:, 0], np.array([0.0, 1.0, 0.0])).mean(axis=0)
+    if usual == "Z":
+        other = ("Y" if y > 0.0 else "-Y") if abs(y) > _PLAIN > abs(z) else None
+    else:
+        other = "Z" if z > _PLAIN > abs(y) else "-Y" if y < -_PLAIN else None
+    if other is None:
+        return usual
+    joints = joint_positions(skeleton, sequence)
+
+    def misfit(axis: str) -> float:
+        direction = _AXES[axis]
+        # The root turns about a pelvis that is not at 0, by a height that the file does not tell.
+        low = (joints @ direction).min(axis=1)
+        return min(floor_misfit(low + direction @ pelvis) for pelvis in _PELVES)
+
+    fits = {axis: misfit(axis) for axis in (usual, other)}
+    if min(fits.values()) > _NO_FLOOR:
+        return other if other == "-Y" or told_by == "nothing" else usual
+    return other if fits[other] + _BETTER < fits[usual] else usual
 
 
 def full_poses(path: Path, parameters: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -26,6 +26,9 @@ _PELVIS = np.array([0.0, -0.22, 0.03])
 _UPRIGHT = np.diag([1.0, -1.0, -1.0])
 # A camera that is held askew by so much [deg] is levelled by where the feet stand.
 _ASKEW = 12.0
+# Someone stands whose neck is this share of its height at rest away from the feet, on average, and upward within 45
+# degrees for the camera.
+_STANDS, _UPRIGHT_CAMERA = 0.8, np.sqrt(0.5)
 
 
 def read_tram(path: Path) -> Recording:
@@ -66,7 +69,8 @@ def read_tram(path: Path) -> Recording:
     matrices[:, 0] = world @ matrices[:, 0]
     roots = np.einsum("fij,fj->fi", world, shifts + _PELVIS) + origin - _PELVIS
     poses = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_rotvec().reshape(len(frames), 72)
-    recording = replace(smpl_recording(path, poses, roots, _RATE), from_video=True, askew=_ASKEW)
+    recording = smpl_recording(path, poses, roots, _RATE, told_by="its program")
+    recording = replace(recording, from_video=True, askew=_ASKEW)
     recording = without_gaps(recording if in_world else _stood_up(recording), frames)
     note = shape_note(path, stored_numbers(person["pred_shape"], path, "pred_shape")) if "pred_shape" in person else ()
     return replace(recording, notes=(*recording.notes, *note))
@@ -82,8 +86,15 @@ def _dictionary(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
 
 
 def _stood_up(recording: Recording) -> Recording:
-    """The recording turned so that the person stands up along Y, on average from the feet to the neck."""
+    """The recording turned so that someone who stands does so along Y, on average from the feet to the neck.
+
+    The camera says it of others, who sit, lie or crawl, as cameras are held nearly upright.
+    """
     joints = joint_positions(recording.skeleton, recording.poses)
     feet = 0.5 * (joints[:, recording.joint_index("foot.L")] + joints[:, recording.joint_index("foot.R")])
     up = (joints[:, recording.joint_index("neck_lower")] - feet).mean(axis=0)
-    return recording.stood_up(up / max(float(np.linalg.norm(up)), 1e-9))
+    length = float(np.linalg.norm(up))
+    rest = recording.skeleton.joints
+    height = rest[recording.joint_index("neck_lower"), 1] - rest[recording.joint_index("foot.L"), 1]
+    upright = length > _STANDS * height and up[1] > _UPRIGHT_CAMERA * length
+    return recording.stood_up(up / length) if upright else recording

@@ -1,0 +1,64 @@
+"""Which axis of a file is up: what its writer or its rest pose says, unless the floor under its frames gainsays it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pb4u.motion.recording import Recording
+
+_AXES = np.concatenate([np.eye(3), -np.eye(3)])
+_Y = _AXES[1]
+# Someone stands along an axis on which the shoulders are this share of their height above the feet, on average.
+_STANDS = 0.6
+# What is above the floor may stand on something, what is beneath it may not: [m/m] in that measure.
+_ABOVE = 0.3
+# Another axis than the supposed one has a floor that fits better by so much [m].
+_BETTER = 0.1
+
+
+def standing_axis(recording: Recording, joints: np.ndarray, rest: np.ndarray | None) -> np.ndarray:
+    """The axis (3,) of a file that is up, where its format leaves it open.
+
+    It is the one that the rest pose and the frames both stand along. Else the rest pose lies where people stand along
+    another axis, Y is usual, and the floor is to lie at 0.
+
+    Args:
+        recording: how its bones play the roles.
+        joints: (frames, bones, 3) places of its joints in some frames.
+        rest: (3,) in which direction a person stands in the rest pose; None where no one does.
+    """
+    feet, hips, shoulders = (
+        0.5 * (joints[:, recording.joint_index(f"{role}.L")] + joints[:, recording.joint_index(f"{role}.R")])
+        for role in ("foot", "thigh", "upper_arm")
+    )
+    height = recording.leg_length + float(np.linalg.norm(shoulders - hips, axis=1).max())
+    mean = (shoulders - feet).mean(axis=0) / max(height, 1e-12)
+    along = nearest_axis(mean)
+    stands = [along] if mean @ along > _STANDS else []
+    known = [] if rest is None else [nearest_axis(rest)]
+    if stands and known and np.array_equal(along, known[0]):
+        return along
+    supposed = [_Y] if not known or np.array_equal(known[0], _Y) else [*stands, *known]
+    axes = [*supposed, *stands, *known, _Y]
+    misfits = np.array([floor_misfit(recording.metres * (joints @ axis).min(axis=1)) for axis in axes])
+    misfits[1:] += _BETTER
+    return axes[int(misfits.argmin())]
+
+
+def floor_misfit(lowest: np.ndarray) -> float:
+    """How badly a floor at 0 fits under a body, by its lowest joints [m].
+
+    Args:
+        lowest: (frames,) their heights [m].
+    """
+    return float(np.where(lowest < 0.0, -lowest, _ABOVE * lowest).mean())
+
+
+def nearest_axis(direction: np.ndarray) -> np.ndarray:
+    """The axis of a file (3,), of length 1, that is nearest to a direction.
+
+    Args:
+        direction: (3,) of any length.
+    """
+    axis: np.ndarray = _AXES[int(np.argmax(_AXES @ direction))]
+    return axis
