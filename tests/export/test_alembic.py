@@ -76,9 +76,7 @@ def hierarchy(path: Path) -> dict[str, list[str]]:
 
 
 @pytest.mark.parametrize("names", [[], ["tank top", "cardigan"], ["Body", "Body"], ["a/b", "a b"]])
-def test_every_mesh_hangs_from_a_transform_of_its_own(
-    trajectory: Trajectory, tmp_path: Path, names: list[str]
-) -> None:
+def test_every_mesh_hangs_from_a_transform_of_its_own(trajectory: Trajectory, tmp_path: Path, names: list[str]) -> None:
     header = trajectory.header
     if names:
         half = len(header.rest_positions) // 2

@@ -12,10 +12,13 @@ import pytest
 from tests.garment.cloth_shapes import CLOTH, saved
 
 from pb4u.body.body_model import ShapedBody
+from pb4u.body.length_units import UNITS
 from pb4u.body.library import load_body
 from pb4u.errors import InputError, InputNote, InputWarning
+from pb4u.garment.diagnosis import diagnose
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
+from pb4u.garment.garment_file import read_source
 from pb4u.garment.library import build_garment
 from pb4u.garment.limbs_inside import limbs_outside
 from pb4u.garment.material import MATERIALS, DirectionalBending, Material
@@ -49,6 +52,20 @@ def dented(woman: ShapedBody) -> Garment:
     vertices[back, 2] += 0.14
     assert limbs_outside(vertices, shirt.faces, woman)
     return Garment("dented", vertices, shirt.faces, CLOTH)
+
+
+@pytest.mark.parametrize("unit", [unit for unit in UNITS if unit != "metres"])
+def test_check_and_simulate_say_the_same_of_a_unit(woman: ShapedBody, tmp_path: Path, unit: str) -> None:
+    shirt = build_garment("tshirt", woman, 300)
+    mesh = PolygonMesh(shirt.vertices / UNITS[unit], tuple(shirt.faces))
+    file = saved(tmp_path, mesh)
+    found = diagnose(read_source(file), woman, file, "woman")
+    (units,) = (finding for finding in found.findings if finding.code == "units")
+    assert f"The garment is in {unit}" in units.sentence
+    with pytest.raises(InputError) as refused:
+        load_garment(WornGarment(file), woman)
+    assert str(refused.value) == f"{file.stem}: {units.sentence[:-1]}; {units.fix}."
+    assert f"scale it by {UNITS[unit]:g} with" in units.fix
 
 
 def sources(garment: Garment, body: ShapedBody, folder: Path) -> dict[str, str | Path | Garment]:

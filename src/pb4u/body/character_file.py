@@ -17,13 +17,14 @@ from pb4u.body.character_bones import (
     merged_bones,
     nearest_axes,
     ordered_bones,
-    read_skins,
 )
 from pb4u.body.character_surface import CharacterSurface
 from pb4u.body.contact_region import reachable
+from pb4u.body.length_units import UNITS, body_unit, extent_of
 from pb4u.body.skeleton import Skeleton, hand_bones
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
+from pb4u.geometry.gltf_skin import influences, read_skins
 from pb4u.geometry.topology import Topology, joined_indices, offsets
 from pb4u.io.gltf_file import GltfFile, read_gltf
 from pb4u.io.reading_limits import names_text, refusing
@@ -36,8 +37,6 @@ _NOT_SKIN = re.compile(
     re.IGNORECASE,
 )
 _SKIN = re.compile(r"skin|body|face|flesh", re.IGNORECASE)
-# Extent [m] of a character; a larger one is in centimetres or millimetres.
-_SIZES = {1.0: (0.1, 10.0), 0.01: (10.0, 1000.0), 0.001: (1000.0, 1e4)}
 _MOST_TRIANGLES = 1_000_000
 # Rays with which it is seen whether cloth can reach a vertex: a tenth of a millisecond each vertex.
 _RAYS = 32
@@ -82,7 +81,9 @@ class _Part:
         return bool(_SKIN.search(material)) or not any(_NOT_SKIN.search(name) for name in meshes)
 
 
-def read_character(path: Path, clip: str | None = None, parts: Collection[str] | None = None) -> Character:
+def read_character(
+    path: Path, clip: str | None = None, parts: Collection[str] | None = None, units: str | None = None
+) -> Character:
     """The character of a glTF or VRM file in its bind pose, feet on y = 0, facing +Z.
 
     All skinned meshes are joined but hair, eyes, clothes and the like, recognised by their names and those of their
@@ -92,16 +93,17 @@ def read_character(path: Path, clip: str | None = None, parts: Collection[str] |
         path: the .glb, .gltf or .vrm.
         clip: name of the animation that it performs; the first where left out.
         parts: names of the meshes or materials that make the body; recognised by their names where left out.
+        units: name of its unit of length; told by the size of a person where left out.
 
     Raises:
         InputError: it is no glTF, is compressed by Draco or meshopt, has no skin, no such clip or part, or is damaged.
     """
     file = read_gltf(path)
     with refusing(path, "is damaged"):
-        return _character(file, clip, parts)
+        return _character(file, clip, parts, units)
 
 
-def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) -> Character:
+def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None, units: str | None) -> Character:
     path = file.path
     tree = node_tree(file)
     chosen, left = _chosen(path, _parts(file), parts)
@@ -116,7 +118,7 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
     binds = np.stack(matrices)[order]
     ranked = np.array(bones)[order]
     surface = surface.renumbered(rank)
-    world, names, more = _world(path, surface.vertices, names, binds)
+    world, names, more = _world(path, surface.vertices, names, binds, units)
     notes = (
         [*more] if not left else [f"{path.name}: left out of the body: {', '.join(left)}; --body-parts chooses.", *more]
     )
@@ -210,17 +212,12 @@ def _parts(file: GltfFile) -> list[_Part]:
                 np.int64
             )
             faces = faces[: len(faces) // 3 * 3].reshape(-1, 3)
-            sets = range(sum(name.startswith("JOINTS_") for name in attributes))
-            joints = np.concatenate([file.array(attributes[f"JOINTS_{k}"]) for k in sets], axis=1).astype(np.int64)
-            weights = np.concatenate([file.array(attributes[f"WEIGHTS_{k}"]) for k in sets], axis=1).astype(np.float64)
-            count = len(file.entries("skins")[entry["skin"]]["joints"])
-            if not len(faces) or faces.max() >= len(vertices) or len(joints) != len(vertices):
+            if not len(faces) or faces.max() >= len(vertices):
                 raise ValueError("a triangle has a vertex that is not there")
-            if joints.min() < 0 or joints.max() >= count or weights.shape != joints.shape:
-                raise ValueError("a vertex hangs on a bone that is not there")
-            total = weights.sum(axis=1, keepdims=True)
-            if not np.isfinite(vertices).all() or (weights < 0.0).any() or not (total > 0.0).all():
+            if not np.isfinite(vertices).all():
                 raise ValueError("a vertex has no finite place, or no weight")
+            count = len(file.entries("skins")[entry["skin"]]["joints"])
+            joints, weights = influences(file, attributes, len(vertices), count)
             targets = [
                 file.array(t["POSITION"]) if "POSITION" in t else np.zeros_like(vertices)
                 for t in primitive.get("targets", ())
@@ -231,7 +228,7 @@ def _parts(file: GltfFile) -> list[_Part]:
             moved = np.array(targets, dtype=np.float64).reshape(len(targets), len(vertices), 3)
             if not np.isfinite(moved).all():
                 raise ValueError("a morph target is not finite")
-            part = (names, node, entry["skin"], vertices, faces, joints, weights / total, moved, own)
+            part = (names, node, entry["skin"], vertices, faces, joints, weights, moved, own)
             found.append(_Part(*part))
     return found
 
@@ -263,21 +260,14 @@ def _chosen(path: Path, parts: list[_Part], wanted: Collection[str] | None) -> t
 
 
 def _world(
-    path: Path, vertices: np.ndarray, names: list[str], binds: np.ndarray
+    path: Path, vertices: np.ndarray, names: list[str], binds: np.ndarray, units: str | None
 ) -> tuple[np.ndarray, list[str], list[str]]:
     """Transform (4, 4) of the scene to the world, names of the bones in it, and notes.
 
     In metres, upright and facing +Z, the hips over the origin and the feet at y = 0.
     """
-    size = float(np.ptp(vertices, axis=0).max())
-    unit = next((unit for unit, (low, high) in _SIZES.items() if low <= size < high), None)
-    if unit is None:
-        raise InputError(f"{path}: the character measures {size:g} m; glTF is in metres, scale it and export it again.")
-    notes = []
-    if unit != 1.0:
-        notes.append(
-            f"{path.name}: {size:.0f} m tall, so it is taken to be in {'centi' if unit == 0.01 else 'milli'}metres."
-        )
+    unit, note = body_unit(path, extent_of(vertices), units)
+    notes = [] if note is None else [f"{path.name}: {note}"]
     turn, places = np.eye(3), binds[:, :3, 3]
     if "pelvis" in names:
         pelvis, head, ankle, *hips = (
@@ -297,7 +287,7 @@ def _world(
             upright = "" if turn[1, 1] == 1.0 else "upright and "
             notes.append(f"{path.name}: turned {upright}to face +Z, by its hips, head and feet.")
     world = np.eye(4)
-    world[:3, :3] = unit * turn
+    world[:3, :3] = UNITS[unit] * turn
     moved = vertices @ world[:3, :3].T
     middle = world[:3, :3] @ places[0] if "pelvis" in names else 0.5 * (moved.min(axis=0) + moved.max(axis=0))
     world[:3, 3] = -np.array([middle[0], moved[:, 1].min(), middle[2]])

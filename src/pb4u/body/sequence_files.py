@@ -52,13 +52,14 @@ def write_vertex_sequence(
         replace_file(Path(path), buffer.getvalue())
 
 
-def load_vertex_sequence(path: str | Path) -> VertexSequence:
+def load_vertex_sequence(path: str | Path, units: str | None = None) -> VertexSequence:
     """Read an .npz, a folder of OBJ or PLY files, or an OBJ with a .pc2 or .mdd point cache of the same name.
 
     Warns where the body is not closed, leaps, or seems to be Z up.
 
     Args:
         path: the file or folder; of an OBJ and its cache, either. It plays at 30 frames per second where it names none.
+        units: name of its unit of length; told by the size of a person where left out.
 
     Raises:
         InputError: the file cannot be used.
@@ -79,7 +80,7 @@ def load_vertex_sequence(path: str | Path) -> VertexSequence:
             f"{path}: a moving body is an .npz, a folder of OBJ or PLY files, or an OBJ with a {' or '.join(_CACHES)} "
             "beside it."
         )
-    vertices, faces = require_usable(path, vertices, faces)
+    vertices, faces = require_usable(path, vertices, faces, units)
     sequence = VertexSequence(path.stem, vertices, faces, DEFAULT_FPS if fps is None else fps, contact)
     warn_of_oddities(path, sequence)
     return sequence

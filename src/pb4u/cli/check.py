@@ -29,6 +29,7 @@ def check(
     garment: Annotated[list[str] | None, typer.Option(metavar="NAME|FILE")] = None,
     body: Annotated[str, typer.Option(metavar="NAME|FILE")] = DEFAULT_BODY,
     body_shape: ShapeFlag = None,
+    body_units: Annotated[str | None, typer.Option(metavar="NAME")] = None,
     motion: Annotated[str | None, typer.Option(metavar="NAME|FILE")] = None,
     crop: CropFlag = None,
     triangles: int | None = None,
@@ -45,6 +46,7 @@ def check(
             then also where they cross each other.
         body: Body that is to wear it.
         body_shape: shape of the body.
+        body_units: Unit of length of the body's file. Default: told by the size of a person.
         motion: Motion to read and retarget as well.
         crop: frames of the recording.
         triangles: Triangles of a built-in garment or a pattern.
@@ -67,7 +69,7 @@ def check(
     with warnings.catch_warnings():
         if names:  # a finding of each garment says so
             warnings.filterwarnings("ignore", ".*the body is not closed", InputWarning)
-        figure = load_body(body, BodyShape.of(body_shape))
+        figure = load_body(body, BodyShape.of(body_shape), units=body_units)
     report: dict[str, Any] = {}
     refused = False
     if len(names) > 1:

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.built_in import BUILT_IN
+from pb4u.body.length_units import extent_of, garment_unit
 from pb4u.body.library import load_body
 from pb4u.errors import InputError, warn
 from pb4u.garment.findings import (
@@ -30,7 +31,7 @@ from pb4u.garment.findings import (
 )
 from pb4u.garment.fit import Fit, RestBody, find_fit
 from pb4u.garment.garment import Garment
-from pb4u.garment.garment_file import fix_command, likely_unit
+from pb4u.garment.garment_file import fix_command
 from pb4u.garment.limbs_inside import limbs_outside
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.garment.support import Support, find_support
@@ -134,7 +135,7 @@ def diagnose(
             findings += coarse_findings(*where, rest)
         if is_file and isinstance(body, ShapedBody):
             findings += _better_body(garment.vertices, surface.faces, body, fit)
-    elif len(vertices) and (unit := likely_unit(vertices)):
+    elif len(vertices) and (unit := garment_unit(extent_of(vertices))):
         findings.append(Finding("units", Severity.REFUSED, f"The garment {unit}.", "scale it to metres"))
     elif len(vertices):
         findings += crossing_findings(surface, garment.vertices, measures)
@@ -191,17 +192,30 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
     _tell(garment, findings)
 
 
-def require_metres(garment: Garment) -> None:
+def require_metres(
+    garment: Garment, body: ShapedBody | AnimatedBody | None = None, file: str | Path | None = None
+) -> None:
     """Refuse a garment whose extent is that of no garment in metres.
 
     Args:
         garment: as it was given.
+        body: who should wear it, whose size says the unit; None where there is none.
+        file: where the garment was read from, named in the cures; None for arrays.
 
     Raises:
         InputError: it is in other units.
     """
-    if unit := likely_unit(garment.vertices):
+    unit = garment_unit(extent_of(garment.vertices))
+    if unit is None:
+        return
+    if file is None:
         raise InputError(f"garment {garment.name} {unit}; give its vertices in metres.")
+    if body is not None:
+        rest = RestBody.of(body)
+        mend = fix_command(file, rest.name, getattr(body, "own_shape", None))
+        found = placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
+        _tell(garment, [finding for finding in found if finding.severity is Severity.REFUSED])
+    raise InputError(f"{file} {unit}; scale it to metres with {fix_command(file)}.")
 
 
 def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:

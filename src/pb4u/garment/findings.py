@@ -9,9 +9,10 @@ import numpy as np
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.joint_names import plain_names
+from pb4u.body.length_units import UNITS
 from pb4u.collision.crossings import self_crossings
 from pb4u.garment.coarseness import Coarseness
-from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, is_inside_out
+from pb4u.garment.fit import AXES, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, is_inside_out
 from pb4u.garment.garment_file import MOST_SIMULATED
 from pb4u.garment.source_surface import Fault, SourceSurface, first_of, surface_faults
 from pb4u.garment.support import Support, slide

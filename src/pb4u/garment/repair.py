@@ -9,8 +9,9 @@ import numpy as np
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
+from pb4u.body.length_units import UNITS
 from pb4u.collision.crossings import self_crossings
-from pb4u.garment.fit import UNITS, UPRIGHT, RestBody, find_fit, is_inside_out
+from pb4u.garment.fit import UPRIGHT, RestBody, find_fit, is_inside_out
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.garment.untangling import untangle
 from pb4u.geometry.mesh_file import PolygonMesh

@@ -164,7 +164,10 @@ def _built_in(worn: WornGarment, body: Body, material: Material, rest_shape: Res
 
 
 def _mesh(worn: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
-    return authors_garment(str(worn.garment), material, MOST_SIMULATED if worn.triangles is None else MOST_READ)
+    most = MOST_SIMULATED if worn.triangles is None else MOST_READ
+    garment = authors_garment(str(worn.garment), material, most)
+    require_metres(garment, body, str(worn.garment))
+    return garment
 
 
 def _pattern(worn: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:

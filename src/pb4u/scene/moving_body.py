@@ -87,7 +87,11 @@ def _load_body(run: Run, recording: MotionAsRecorded | None) -> ShapedBody | Ver
 
 
 def load_body_of(
-    body: str, clip: str | None, body_parts: str | None, shape: Mapping[str, float] | None = None
+    body: str,
+    clip: str | None,
+    body_parts: str | None,
+    body_units: str | None = None,
+    shape: Mapping[str, float] | None = None,
 ) -> ShapedBody | VertexSequence:
     """The body of a run.
 
@@ -95,13 +99,14 @@ def load_body_of(
         body: `Run.body`, a name or a file.
         clip: `Run.clip`.
         body_parts: `Run.body_parts`.
+        body_units: `Run.body_units`.
         shape: shape parameters by name.
 
     Raises:
         InputError: it cannot be read, or has no such clip or parts.
     """
     parts = None if body_parts is None else [part.strip() for part in body_parts.split(",")]
-    return load_body(body, shape, clip=clip, parts=parts)
+    return load_body(body, shape, clip=clip, parts=parts, units=body_units)
 
 
 def _shaped_body(run: Run, shape: Mapping[str, float]) -> ShapedBody | VertexSequence:
@@ -112,7 +117,7 @@ def _shaped_body(run: Run, shape: Mapping[str, float]) -> ShapedBody | VertexSeq
             f"A recording is played as recorded on an SMPL body, given as a model file; {body} has another skeleton."
         )
     if isinstance(body, str | Path):
-        return load_body_of(str(body), run.clip, run.body_parts, {**shape, **run.body_shape})
+        return load_body_of(str(body), run.clip, run.body_parts, run.body_units, {**shape, **run.body_shape})
     if not isinstance(body, ShapedBody | VertexSequence):
         raise InputError("A moving body must be a shaped body or a vertex sequence.")
     if run.body_shape:
