@@ -25,6 +25,7 @@ from pb4u.garment.material import MATERIALS, DirectionalBending, Material
 from pb4u.garment.source_map import remeshed
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.run import WornGarment
+from pb4u.scene.assembly import make_scene
 from pb4u.scene.loaded_garments import kind_of, load_garment
 
 PINS = tuple(range(20, 40))
@@ -181,3 +182,16 @@ def test_woven_cloth_without_grain_is_the_same_in_all_directions_and_a_note_says
     for garment in (flat, given):
         assert set(garment.of_faces("membrane")[:, 1]) == {900.0}
         assert len(np.unique(garment.hinge_bending)) > 100
+
+
+def test_all_that_is_said_of_a_garment_is_among_the_notes_of_its_scene(woman: ShapedBody, tmp_path: Path) -> None:
+    shirt = build_garment("tshirt", woman, 600)
+    loose = PolygonMesh(np.concatenate([shirt.vertices, [[0.0, 1.0, 0.3]]]), (*shirt.faces, shirt.faces[0]))
+    file = saved(tmp_path, loose)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        scene = make_scene(file, woman, frames=1, lead_in=0)
+    said = [str(each.message) for each in caught]
+    assert any("1 face(s) are there twice" in sentence for sentence in said)
+    assert any("1 vertices belong to no face" in sentence for sentence in said)
+    assert list(scene.notes) == list(dict.fromkeys(said))

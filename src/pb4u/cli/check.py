@@ -17,6 +17,7 @@ from pb4u.cli.console import (
     check_json_target,
     keep_inputs,
     verb,
+    with_notes,
     write_json,
 )
 from pb4u.errors import InputError, InputWarning, Pb4uError, warn
@@ -80,7 +81,7 @@ def check(
         refused = (report["garment"] if fix is None else report["garment"]["remaining"])["refused"]
     if motion is not None:
         report["motion"] = _check_motion(motion, figure, crop)
-    write_json(report, json)
+    write_json(with_notes(report), json)
     if json != "-":
         _print(report, fix, body)
     if refused and fix is not None:

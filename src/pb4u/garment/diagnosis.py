@@ -16,7 +16,6 @@ from pb4u.body.length_units import extent_of, garment_unit
 from pb4u.body.library import load_body
 from pb4u.errors import InputError, warn
 from pb4u.garment.findings import (
-    WORST_MISFIT,
     Finding,
     Severity,
     coarse_findings,
@@ -28,8 +27,9 @@ from pb4u.garment.findings import (
     placement_findings,
     support_findings,
     surface_findings,
+    turned_findings,
 )
-from pb4u.garment.fit import Fit, RestBody, find_fit
+from pb4u.garment.fit import SURELY_WORN, Fit, RestBody, find_fit
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import fix_command
 from pb4u.garment.limbs_inside import limbs_outside
@@ -180,11 +180,12 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
     misfit = float(rest.misfit(garment.vertices))
     mend = fix_command(file, rest.name, getattr(body, "own_shape", None))
     findings = []
-    if misfit > 0.6 * WORST_MISFIT:  # well under it there is nothing to look for
+    if misfit > SURELY_WORN:
         findings = placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
     placed = not findings  # elsewhere, depth and support are those of the wrong place
     if placed and rest.is_closed:  # of one that is not, who loaded it was warned
         findings += penetration_findings(rest.signed_distances(garment.vertices), rest, mend)
+        findings += turned_findings(garment.vertices, garment.faces, rest, mend)
     if placed and support is not None:
         source = garment.source
         names = None if source is None else cKDTree(source.source.vertices).query(garment.vertices)[1]

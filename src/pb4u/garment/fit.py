@@ -19,6 +19,9 @@ from pb4u.geometry.triangle_mesh import area_weighted_normals, face_cross_produc
 # Vertices of a garment that are looked at to place it, and every how many of them for a first look: thousands of
 # placements are compared, and the time grows with both.
 _SAMPLES, _COARSE = 400, 4
+WORST_MISFIT, SURELY_WORN = 0.08, 0.048
+"""Mean distance to the body [m] above which a garment that would fit elsewhere is not taken to be worn, and up to which
+one that may belong anywhere is."""
 # Step [m] of the first look at heights, less than the width of a dip in the misfit, and times that a garment is drawn
 # towards the body from each.
 _SHIFT_STEP, _DRAWN = 0.06, 4
@@ -273,6 +276,8 @@ def find_fit(vertices: np.ndarray, body: RestBody) -> Fit:
         limit = min(_WIDE * best + 3 * _LOOSELY, 0.95 * _NEAR)
         loosely = [f for f in fits if not f.searched and f.shift.any() and f.misfit <= limit]
         chosen = _compared(min(loosely, key=_change), fits) if loosely else chosen
+    if chosen.is_unsure and float(body.misfit(sample)) <= SURELY_WORN:
+        return Fit.identity(body.misfit(sample, _NEAR))
     return chosen
 
 

@@ -16,7 +16,8 @@ from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.source_map import map_to_same, remeshed
-from pb4u.garment.source_surface import SourceSurface, surface_faults
+from pb4u.garment.source_surface import SourceSurface
+from pb4u.garment.surface_faults import Fault, surface_faults
 from pb4u.geometry.mesh_file import MOST_READ, READERS, PolygonMesh, read_mesh
 
 MOST_SIMULATED = 1_000_000
@@ -123,17 +124,16 @@ def read_source(path: Path, most_triangles: int = MOST_READ) -> PolygonMesh:
     return read_mesh(path, refuse_large)
 
 
+def _cure(fault: Fault, path: Path) -> str:
+    return f"{fault.fix} with {fix_command(path)}" if fault.mendable else fault.fix
+
+
 def _report_faults(path: Path, surface: SourceSurface) -> None:
     faults = surface_faults(surface)
     for fault in faults:
         if fault.is_refused:
-            raise InputError(f"{path}: {fault.sentence[:-1]}; {fault.fix}.")
-    sentences = [
-        f"{fault.sentence[:-1]}; {fault.meanwhile or f'{fault.fix} with {fix_command(path)}'}."
-        for fault in faults
-        if fault.mendable
-    ]
-    sentences += [fault.sentence for fault in faults if not fault.mendable]
+            raise InputError(f"{path}: {fault.sentence[:-1]}; {_cure(fault, path)}.")
+    sentences = [f"{fault.sentence[:-1]}; {fault.meanwhile or _cure(fault, path)}." for fault in faults]
     if surface.many_sided:
         cut = "quads or n-gons are cut into triangles to simulate; `pb4u convert --on source` writes them whole"
         sentences.append(f"{surface.many_sided} {cut}.")

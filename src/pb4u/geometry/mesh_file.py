@@ -40,6 +40,7 @@ class PolygonMesh:
         uvs: (uv points, 2) float64 or None.
         polygon_uvs: UV indices of each polygon's corners, or None.
         appearances: colours and images of the polygons, where the file has any.
+        lines: (lines, 2) int64 vertices that the file joins by lines beside its polygons, or None.
     """
 
     vertices: np.ndarray
@@ -47,6 +48,7 @@ class PolygonMesh:
     uvs: np.ndarray | None = None
     polygon_uvs: tuple[np.ndarray, ...] | None = None
     appearances: Appearances | None = None
+    lines: np.ndarray | None = None
 
 
 def read_mesh(path: Path, refuse_large: Callable[[int], None]) -> PolygonMesh:

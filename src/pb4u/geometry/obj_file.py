@@ -10,6 +10,7 @@ import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,6 +38,7 @@ class _Content(NamedTuple):
     uvs: Lines
     faces: list[tuple[int, bytes, int, int]]
     used: list[tuple[int, str]]
+    lines: list[tuple[int, bytes, int]]
 
 
 def read_obj(path: Path) -> PolygonMesh:
@@ -67,7 +69,8 @@ def read_obj(path: Path) -> PolygonMesh:
     used = [(0, ""), *content.used]
     looks = _appearances(path, len(ends), used, polygon_uvs is not None)
     polygons = tuple(np.split(corners, ends[:-1]))
-    return PolygonMesh(vertices, polygons, None if polygon_uvs is None else uvs, polygon_uvs, looks)
+    lines = _lines(content.lines, len(vertices))
+    return PolygonMesh(vertices, polygons, None if polygon_uvs is None else uvs, polygon_uvs, looks, lines)
 
 
 def _appearances(path: Path, count: int, used: list[tuple[int, str]], laid_on: bool) -> Appearances | None:
@@ -126,7 +129,7 @@ def left_out(path: Path, mesh: PolygonMesh) -> list[str]:
 
 def _content(path: Path) -> _Content:
     """Lines of vertices, texture coordinates and faces; continued lines count as one."""
-    found = _Content([], [], [], [])
+    found = _Content([], [], [], [], [])
     for number, line in enumerate(joined_lines(path).split(b"\n"), 1):
         line = line.lstrip()
         kind = line[:2]
@@ -135,6 +138,8 @@ def _content(path: Path) -> _Content:
         elif kind in (b"f ", b"f\t"):
             # Negative indices count back from what has been read so far.
             found.faces.append((number, line, len(found.vertices), len(found.uvs)))
+        elif kind in (b"l ", b"l\t"):
+            found.lines.append((number, line, len(found.vertices)))
         elif kind == b"vt":
             found.uvs.append((number, line))
         elif line.startswith(b"usemtl"):
@@ -193,6 +198,20 @@ def _corners(path: Path, faces: list[tuple[int, bytes, int, int]]) -> tuple[np.n
         return np.array(vertex_index, dtype=np.int64), np.array(uv_index, dtype=np.int64), np.array(ends)
     except OverflowError:
         raise InputError(f"{path}: a face index has 19 digits or more; export it again.") from None
+
+
+def _lines(rows: list[tuple[int, bytes, int]], count: int) -> np.ndarray | None:
+    """Vertices (lines, 2) that polylines join one by one, those alone that can be read; None where there are none."""
+    pairs: list[tuple[int, int]] = []
+    for _, line, before in rows:
+        fields = [token.split(b"/", 1)[0] for token in line.split(b"#", 1)[0].split()[1:]]
+        try:
+            ends = [int(field) for field in fields]
+        except ValueError:
+            continue
+        ends = [end - 1 if end > 0 else end + before for end in ends]
+        pairs += [(a, b) for a, b in pairwise(ends) if 0 <= a < count and 0 <= b < count]
+    return np.array(pairs, dtype=np.int64) if pairs else None
 
 
 def _refuse_out_of_range(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ def run_report(
     excess: bool = False,
     reference: Trajectory | None = None,
     limbs: tuple[np.ndarray, LimbWatch] | None = None,
+    told: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Names, counts, timing and metrics of a run, as JSON but for numbers that are not finite.
 
@@ -41,6 +43,7 @@ def run_report(
         excess: also measure `excess_height`, three solves a frame, and count the frames that lie below their reference.
         reference: also measure `distance_to_reference`.
         limbs: which were found through cloth, as `watched` gives it; looked for where left out.
+        told: what was warned of besides the notes of the scene.
 
     Raises:
         InputError: the trajectory does not say what its garments are made of, or the reference is of other meshes.
@@ -64,7 +67,7 @@ def run_report(
         *overstretched_sentences(trajectory),
     ]
     facts = run_facts(trajectory.header, simulator, scene, record) | {"frames": trajectory.frame_count}
-    return {**facts, **measured, "notes": [*scene.notes, *filter(None, said)]}
+    return {**facts, **measured, "notes": list(dict.fromkeys((*scene.notes, *told, *filter(None, said))))}
 
 
 def run_facts(header: TrajectoryHeader, simulator: Simulator, scene: Scene, record: RunRecord) -> dict[str, Any]:

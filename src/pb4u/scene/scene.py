@@ -42,7 +42,7 @@ class Scene:
         seed: seed of everything random in the simulation.
         labels: names for the metadata: garment, sources (name or file of each, None for a loaded one), body,
             body_shape, motion, rest_shape.
-        notes: plain sentences about what was changed or ignored while the scene was made.
+        notes: plain sentences about what was found, changed or ignored while the scene was made.
     """
 
     garments: tuple[DressedGarment, ...]
