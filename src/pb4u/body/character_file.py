@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pb4u.body.bone_names import NEEDED
 from pb4u.body.character import Character, Morph, Rig
 from pb4u.body.character_animation import clip_names, node_tree, read_clip
 from pb4u.body.character_bones import (
@@ -19,11 +20,12 @@ from pb4u.body.character_bones import (
     ordered_bones,
 )
 from pb4u.body.character_surface import CharacterSurface
-from pb4u.body.contact_region import reachable
+from pb4u.body.contact_region import reachable, share_out_of_contact
 from pb4u.body.length_units import UNITS, body_unit, extent_of
 from pb4u.body.skeleton import Skeleton, hand_bones
+from pb4u.body.skin_pieces import skin_vertices
 from pb4u.body.skinning import SkinningWeights
-from pb4u.errors import InputError
+from pb4u.errors import InputError, warn
 from pb4u.geometry.gltf_skin import influences, read_skins
 from pb4u.geometry.topology import Topology, joined_indices, offsets
 from pb4u.io.gltf_file import GltfFile, read_gltf
@@ -40,6 +42,8 @@ _SKIN = re.compile(r"skin|body|face|flesh", re.IGNORECASE)
 _MOST_TRIANGLES = 1_000_000
 # Rays with which it is seen whether cloth can reach a vertex: a tenth of a millisecond each vertex.
 _RAYS = 32
+# Share of the skin out of contact, hands aside, that is told of: eyes, mouth and folds of sound ones have less.
+_MOST_OUT = 0.06
 _OTHER_SIDE = re.compile("left|right")
 
 
@@ -72,6 +76,16 @@ class _Part:
     @property
     def title(self) -> str:
         return next((name for name in reversed(self.names) if name), "a mesh without a name")
+
+    def only(self, mask: np.ndarray) -> _Part:
+        """The part with some of its vertices alone, (vertices,) bool."""
+        if mask.all():
+            return self
+        faces = (np.cumsum(mask) - 1)[self.faces[mask[self.faces].all(axis=1)]]
+        return replace(
+            self, vertices=self.vertices[mask], faces=faces, joints=self.joints[mask], weights=self.weights[mask],
+            targets=self.targets[:, mask],
+        )  # fmt: skip
 
     @property
     def is_skin(self) -> bool:
@@ -114,14 +128,17 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None, 
     bones, matrices, bone_of = merged_bones(path, nodes, inverses, places)
     surface = _joined(chosen, places, nodes, bone_of)
     order, names, parents = ordered_bones(file, tree, bones)
+    if parts is None:
+        chosen, covers = _skin_alone(chosen, skin_vertices(surface, _limbs(names, parents)[np.argsort(order)]))
+        surface, left = _joined(chosen, places, nodes, bone_of), [*left, *covers]
+    left += [title for title in _unskinned(file) if title not in left]
     rank = np.argsort(order)
     binds = np.stack(matrices)[order]
     ranked = np.array(bones)[order]
     surface = surface.renumbered(rank)
     world, names, more = _world(path, surface.vertices, names, binds, units)
-    notes = (
-        [*more] if not left else [f"{path.name}: left out of the body: {', '.join(left)}; --body-parts chooses.", *more]
-    )
+    taken = f"{path.name}: the body is {', '.join(dict.fromkeys(part.title for part in chosen))}"
+    notes = [f"{taken}; left out of the body: {', '.join(left)}; --body-parts chooses." if left else f"{taken}.", *more]
     surface, welded = surface.moved(world).welded()
     surface, closed = surface.turned_outward().closed()
     if closed:
@@ -136,6 +153,7 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None, 
     skinning = SkinningWeights(surface.bones, surface.weights.astype(np.float32))
     of_hand = skinning.share_of(hand_bones(names, parents))
     contact = reachable(surface.vertices, surface.faces, of_hand <= 0.5, _RAYS)
+    notes.append(_tell_of_contact(path, surface, contact, of_hand > 0.5))
     morphs = _morphs(chosen, places, world, welded)
     if "pelvis" not in names:
         notes.append(
@@ -156,6 +174,55 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None, 
         clip_names=tuple(clip_names(file)),
         notes=tuple(notes),
     )
+
+
+def _limbs(names: list[str], parents: list[int]) -> np.ndarray:
+    """Number (bones,) int64 of the limb or head that each bone of a human is in, -1 of the trunk; its own of others."""
+    if "pelvis" not in names:
+        return np.arange(len(names))
+    limbs = np.full(len(names), -1)
+    for bone, (name, parent) in enumerate(zip(names, parents, strict=True)):
+        limbs[bone] = bone if name in NEEDED else limbs[parent] if parent >= 0 else -1
+    return limbs
+
+
+def _tell_of_contact(path: Path, surface: CharacterSurface, contact: np.ndarray, of_hand: np.ndarray) -> str:
+    """What is said of the skin that takes no part in contact; warns where much of it is no hand."""
+    out = share_out_of_contact(surface.vertices, surface.faces, contact)
+    beyond = share_out_of_contact(surface.vertices, surface.faces, contact | of_hand)
+    if beyond > _MOST_OUT:
+        warn(
+            f"{path.name}: {100 * beyond:.0f} % of its skin is out of contact besides the hands, since other surface "
+            "lies over it: cloth passes through there; leave that out with --body-parts."
+        )
+    return f"{path.name}: {100 * out:.0f} % of its skin is out of contact: the hands, and what cloth cannot reach."
+
+
+def _unskinned(file: GltfFile) -> list[str]:
+    """Names of the meshes that hang on no bones."""
+    meshes = file.entries("meshes")
+    return [
+        str(entry.get("name") or meshes[entry["mesh"]].get("name") or "a mesh without a name")
+        for entry in file.entries("nodes")
+        if "mesh" in entry and "skin" not in entry
+    ]
+
+
+def _skin_alone(parts: list[_Part], skin: np.ndarray) -> tuple[list[_Part], list[str]]:
+    """The parts without what is no skin, and titles of that; `skin` (vertices,) bool is of all parts."""
+    kept, left = list[_Part](), list[str]()
+    starts = offsets([part.vertices for part in parts])
+    own = [skin[start : start + len(part.vertices)] for start, part in zip(starts, parts, strict=False)]
+    titles = [part.title for part, mask in zip(parts, own, strict=True) if mask.any()]
+    for part, mask in zip(parts, own, strict=True):
+        named = part.title if part.title not in titles else next(filter(None, part.names), part.title)
+        if not mask.any():
+            left.append(named)
+            continue
+        kept.append(part.only(mask))
+        if lost := len(part.faces) - len(kept[-1].faces):
+            left.append(f"{lost:,} faces of {named} that are no skin")
+    return kept, list(dict.fromkeys(left))
 
 
 def _joined(

@@ -20,7 +20,7 @@ from pb4u.cli.console import (
     with_notes,
     write_json,
 )
-from pb4u.errors import InputError, InputWarning, Pb4uError, warn
+from pb4u.errors import InputError, InputNote, InputWarning, Pb4uError, warn
 from pb4u.io.atomic_file import check_writable
 
 
@@ -57,7 +57,9 @@ def check(
     Raises:
         InputError: the arguments contradict each other, or a file cannot be read or written.
     """
+    from pb4u.body.contact_region import share_out_of_contact
     from pb4u.body.library import load_body
+    from pb4u.body.vertex_sequence import VertexSequence
 
     names = _named_garments(file, garment, motion, crop, fix)
     given = names[0] if names else None
@@ -71,7 +73,12 @@ def check(
         if names:  # a finding of each garment says so
             warnings.filterwarnings("ignore", ".*the body is not closed", InputWarning)
         figure = load_body(body, BodyShape.of(body_shape), units=body_units)
-    report: dict[str, Any] = {}
+    for note in getattr(figure, "notes", ()):
+        warn(note, InputNote)
+    out = share_out_of_contact(
+        figure.rest_vertices if isinstance(figure, VertexSequence) else figure.vertices, figure.faces, figure.contact
+    )
+    report: dict[str, Any] = {"body": {"name": figure.name, "out_of_contact_percent": round(100.0 * out, 1)}}
     refused = False
     if len(names) > 1:
         report |= _check_outfit(names, figure, body, triangles)

@@ -15,9 +15,11 @@ from pb4u.body.built_in import BUILT_IN
 from pb4u.body.length_units import extent_of, garment_unit
 from pb4u.body.library import load_body
 from pb4u.errors import InputError, warn
+from pb4u.garment.body_pieces import body_faces
 from pb4u.garment.findings import (
     Finding,
     Severity,
+    body_findings,
     coarse_findings,
     contact_findings,
     crossing_findings,
@@ -43,7 +45,7 @@ from pb4u.geometry.triangle_mesh import edge_lengths
 # have over 0.8 on a body that they were not made for.
 _BADLY, _BETTER = 0.025, 0.75
 # Findings after which nothing is said of what holds the garment up, of limbs, and of how coarse it is.
-_NOT_WORN = ("far", "inside", "unsure")
+_NOT_WORN = ("far", "inside", "unsure", "body")
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +123,7 @@ def diagnose(
         rest = RestBody.of(body)
         fit = find_fit(vertices, rest)
         mend = fix_command(file, rest.name if body_file is None else body_file, getattr(body, "own_shape", None))
+        findings += body_findings(surface, rest)
         findings += placement_findings(vertices, fit, rest, mend)
         findings += crossing_findings(surface, fit.apply(garment.vertices), measures)
         findings += contact_findings(surface, fit, rest, measures, mend)
@@ -217,6 +220,22 @@ def require_metres(
         found = placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
         _tell(garment, [finding for finding in found if finding.severity is Severity.REFUSED])
     raise InputError(f"{file} {unit}; scale it to metres with {fix_command(file)}.")
+
+
+def require_clothes(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
+    """Refuse a body in the place of a garment, or among it.
+
+    Args:
+        garment: as it was read.
+        body: who should wear it.
+
+    Raises:
+        InputError: a part of it is a body.
+    """
+    rest = RestBody.of(body)
+    if body_faces(garment.vertices, garment.faces, rest).any():
+        own = PolygonMesh(garment.vertices, tuple(garment.faces)) if garment.source is None else garment.source.source
+        _tell(garment, body_findings(SourceSurface.of(own), rest))
 
 
 def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:

@@ -11,6 +11,7 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.body.joint_names import plain_names
 from pb4u.body.length_units import UNITS
 from pb4u.collision.crossings import self_crossings
+from pb4u.garment.body_pieces import body_faces, named
 from pb4u.garment.coarseness import Coarseness
 from pb4u.garment.fit import AXES, UPRIGHT, WHOLLY_INSIDE, WORST_MISFIT, Fit, RestBody, is_inside_out
 from pb4u.garment.garment_file import MOST_SIMULATED
@@ -182,6 +183,27 @@ def far_finding(vertices: np.ndarray, body: RestBody) -> list[Finding]:
         return []
     sentence = f'The garment is far from the body "{body.name}": its nearest point is {distance:.2f} m away.'
     return [Finding("far", Severity.REFUSED, sentence, "place it on the body where it was made")]
+
+
+def body_findings(surface: SourceSurface, body: RestBody) -> list[Finding]:
+    """A body in the place of a garment, or among it.
+
+    Args:
+        surface: of the garment as its author made it.
+        body: the resting body.
+    """
+    found = body_faces(surface.source.vertices, surface.faces, body)
+    if not found.any():
+        return []
+    polygons = np.unique(surface.polygon[surface.kept[found]])
+    name = named(surface.source, polygons)
+    told = f"Its object {name}" if name else "The garment" if found.all() else f"A piece of {len(polygons):,} faces"
+    sentence = f'{told} is a body, no garment: it reaches from head to foot of "{body.name}", on its skin or closed.'
+    fix = "give it as --body" if found.all() else "delete it where the garment was made, and export the clothes alone"
+    where = tuple(polygons[:20].tolist())
+    return [
+        Finding("body", Severity.REFUSED, sentence, fix, where=where, vertices=_indices(_corners(surface, polygons)))
+    ]
 
 
 def support_findings(

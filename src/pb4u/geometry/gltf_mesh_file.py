@@ -62,10 +62,14 @@ def read_gltf_mesh(path: Path) -> PolygonMesh:
         vertices, faces = welded(vertices, corners)
         laid_on = any(part.uvs is not None for part in parts)
         looks = _appearances(file, parts, laid_on)
+    meshes = file.entries("meshes")
+    names = [str(nodes[node].get("name") or meshes[nodes[node]["mesh"]].get("name") or "") for node, _ in shown]
+    objects = tuple(dict.fromkeys(names))
+    object_of = np.repeat([objects.index(name) for name in names], [len(part.faces) for part in parts])
     if not laid_on:
-        return PolygonMesh(vertices, tuple(faces), appearances=looks)
+        return PolygonMesh(vertices, tuple(faces), appearances=looks, objects=objects, object_of=object_of)
     uvs = [np.zeros((len(part.vertices), 2)) if part.uvs is None else part.uvs for part in parts]
-    return PolygonMesh(vertices, tuple(faces), np.concatenate(uvs), tuple(corners), looks)
+    return PolygonMesh(vertices, tuple(faces), np.concatenate(uvs), tuple(corners), looks, None, objects, object_of)
 
 
 def _shown(file: GltfFile) -> list[int]:

@@ -41,6 +41,8 @@ class PolygonMesh:
         polygon_uvs: UV indices of each polygon's corners, or None.
         appearances: colours and images of the polygons, where the file has any.
         lines: (lines, 2) int64 vertices that the file joins by lines beside its polygons, or None.
+        objects: names of the objects of the file.
+        object_of: (polygons,) int64 number of the object of each polygon, or None.
     """
 
     vertices: np.ndarray
@@ -49,6 +51,8 @@ class PolygonMesh:
     polygon_uvs: tuple[np.ndarray, ...] | None = None
     appearances: Appearances | None = None
     lines: np.ndarray | None = None
+    objects: tuple[str, ...] = ()
+    object_of: np.ndarray | None = None
 
 
 def read_mesh(path: Path, refuse_large: Callable[[int], None]) -> PolygonMesh:

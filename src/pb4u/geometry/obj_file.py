@@ -31,7 +31,7 @@ Lines = list[tuple[int, bytes]]
 class _Content(NamedTuple):
     """Lines of a file; of a face also the vertices and texture coordinates before it.
 
-    Of `usemtl` the faces before it and the name.
+    Of `usemtl`, `o` and `g` the faces before it and the name.
     """
 
     vertices: Lines
@@ -39,6 +39,7 @@ class _Content(NamedTuple):
     faces: list[tuple[int, bytes, int, int]]
     used: list[tuple[int, str]]
     lines: list[tuple[int, bytes, int]]
+    named: dict[str, list[tuple[int, str]]]
 
 
 def read_obj(path: Path) -> PolygonMesh:
@@ -70,7 +71,20 @@ def read_obj(path: Path) -> PolygonMesh:
     looks = _appearances(path, len(ends), used, polygon_uvs is not None)
     polygons = tuple(np.split(corners, ends[:-1]))
     lines = _lines(content.lines, len(vertices))
-    return PolygonMesh(vertices, polygons, None if polygon_uvs is None else uvs, polygon_uvs, looks, lines)
+    objects, object_of = _objects(content, len(ends))
+    laid = None if polygon_uvs is None else uvs
+    return PolygonMesh(vertices, polygons, laid, polygon_uvs, looks, lines, objects, object_of)
+
+
+def _objects(content: _Content, count: int) -> tuple[tuple[str, ...], np.ndarray | None]:
+    """Names of the objects, or else of the groups, and the number of that of each of `count` faces."""
+    begun = content.named["o"] or content.named["g"]
+    if not begun:
+        return (), None
+    names = list(dict.fromkeys(["", *(name for _, name in begun)]))
+    starts = np.array([0, *(start for start, _ in begun)])
+    numbers = np.array([0, *(names.index(name) for _, name in begun)])
+    return tuple(names), numbers[np.searchsorted(starts, np.arange(count), side="right") - 1]
 
 
 def _appearances(path: Path, count: int, used: list[tuple[int, str]], laid_on: bool) -> Appearances | None:
@@ -129,7 +143,7 @@ def left_out(path: Path, mesh: PolygonMesh) -> list[str]:
 
 def _content(path: Path) -> _Content:
     """Lines of vertices, texture coordinates and faces; continued lines count as one."""
-    found = _Content([], [], [], [], [])
+    found = _Content([], [], [], [], [], {"o": [], "g": []})
     for number, line in enumerate(joined_lines(path).split(b"\n"), 1):
         line = line.lstrip()
         kind = line[:2]
@@ -142,6 +156,8 @@ def _content(path: Path) -> _Content:
             found.lines.append((number, line, len(found.vertices)))
         elif kind == b"vt":
             found.uvs.append((number, line))
+        elif kind in (b"o ", b"g ", b"o\t", b"g\t"):
+            found.named[kind[:1].decode()].append((len(found.faces), text_of(line[1:].strip())))
         elif line.startswith(b"usemtl"):
             found.used.append((len(found.faces), text_of(line[6:].strip())))
     return found

@@ -119,3 +119,14 @@ def carried_directions(directions: np.ndarray, corners: np.ndarray, others: np.n
     """
     shares = directions[:, None] @ np.linalg.pinv(corners[:, 1:] - corners[:, :1])
     return (shares @ (others[:, 1:] - others[:, :1]))[:, 0]
+
+
+def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Volume [m^3] within a closed surface, positive where its faces look outwards; of an open one about its middle.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+    """
+    a, b, c = np.moveaxis(vertices[faces] - vertices[faces].mean(axis=(0, 1)), 1, 0)
+    return float(np.einsum("fc,fc->", a, np.cross(b, c))) / 6.0

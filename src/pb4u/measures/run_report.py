@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from pb4u.body.contact_region import share_out_of_contact
 from pb4u.measures.divergence import skinned_centres
 from pb4u.measures.excess import BEATEN_BY, distance_to, excess_heights, series
 from pb4u.measures.limbs import Bones, LimbWatch, limbs_sentence, limbs_through_cloth, watched
@@ -92,8 +93,17 @@ def run_facts(header: TrajectoryHeader, simulator: Simulator, scene: Scene, reco
         "solver_iterations": record.solver_iterations,
         "unsolved_steps": record.unsolved,
         "retried_steps": record.retried,
+        "body_out_of_contact_percent": _out_of_contact(scene),
         "notes": list(scene.notes),
     }
+
+
+def _out_of_contact(scene: Scene) -> float | None:
+    """Percentage of the bodies' area that takes no part in contact; None without a body."""
+    if not scene.colliders:
+        return None
+    shares = [share_out_of_contact(each.rest_vertices, each.faces, each.contact) for each in scene.colliders]
+    return round(100.0 * float(np.mean(shares)), 1)
 
 
 def machine(device: str) -> dict[str, Any]:
