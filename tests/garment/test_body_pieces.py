@@ -72,11 +72,9 @@ def test_an_avatar_among_clothes_is_refused_by_its_name(tmp_path: Path) -> None:
     found = diagnose(source, body, path, "woman").findings[0]
     assert found.code == "body"
     assert found.sentence.startswith("Its object My Avatar is a body, no garment")
-    with pytest.raises(
-        InputError, match=r"^both: Its object My Avatar is a body, no garment.*export the clothes alone"
-    ):
+    with pytest.raises(InputError, match=r"^both: Its object My Avatar is a body.*export the clothes alone"):
         load_garment(WornGarment(path), body)
     alone = tmp_path / "alone.obj"
     write_obj(alone, PolygonMesh(body.vertices, tuple(body.faces)))
-    with pytest.raises(InputError, match="The garment is a body, no garment.*give it as --body"):
+    with pytest.raises(InputError, match=r"The garment is a body, no garment.*give it as --body"):
         load_garment(WornGarment(alone), body)
