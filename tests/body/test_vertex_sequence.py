@@ -361,3 +361,12 @@ def test_the_unit_that_is_given_is_taken(tmp_path):
         body_from_arrays(50.0 * box.vertices, box.faces)
     metres = body_from_arrays(67.0 * box.vertices, box.faces, units="decimetres")
     assert metres.rest_vertices[:, 1].max() == pytest.approx(5.695)
+
+
+def test_a_cache_of_another_kind_beside_a_mesh_is_told(tmp_path):
+    box = trimesh.creation.box((0.5, 1.7, 0.3))
+    write_obj(tmp_path / "scan.obj", box.vertices, box.faces.tolist())
+    for name in ("scan.pc16", "scan.mtl", "other.abc"):
+        (tmp_path / name).write_bytes(b"x")
+    with pytest.warns(InputWarning, match=r"scan\.obj: scan\.pc16 beside it is not read, so the mesh stands still"):
+        assert load_vertex_sequence(tmp_path / "scan.obj").frame_count == 1

@@ -213,6 +213,11 @@ def _read_mesh_and_cache(path: Path) -> tuple[np.ndarray, np.ndarray, float | No
         surface, cache = path, next((beside[suffix] for suffix in _CACHES if suffix in beside), path)
     vertices, faces = surface_of(surface)
     if cache == surface:
+        if unread := [file.name for suffix, file in beside.items() if suffix in _UNREAD]:
+            warn(
+                f"{path}: {', '.join(unread)} beside it is not read, so the mesh stands still; a body moves by "
+                f"{' or '.join(_CACHES)}."
+            )
         return vertices[None].astype(np.float32), faces, None
     positions, fps = _CACHES[cache.suffix.lower()](cache)
     if positions.shape[1] != len(vertices):
@@ -261,5 +266,8 @@ def _map_points(path: Path, offset: int, frames: int, points: int, dtype: str) -
 _CACHES = {".pc2": _read_pc2, ".mdd": _read_mdd}
 """Readers of positions (frames, points, 3) [m] and frames per second, None where the file has none; an OBJ has the
 faces."""
+
+_UNREAD = (".pc16", ".pc", ".mcx", ".mc", ".mcc", ".xml", ".abc", ".bphys", ".ptc", ".cache")
+"""Suffixes of other programs' caches, and of point caches in half precision."""
 
 SUFFIXES = (*_MESH_SUFFIXES, *_CACHES)

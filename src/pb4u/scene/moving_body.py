@@ -184,13 +184,18 @@ def _load_motion(run: Run) -> tuple[Motion, str]:
 
 def _play(body: VertexSequence, run: Run) -> Performance:
     """A sequence moves by itself; it starts in the pose that garments are fitted to: neither cut nor posed."""
+    stands = len(body.vertices) == 1
     motion, by_itself = run.motion, f"{body.name} is a sequence of vertices that moves by itself"
+    if stands:
+        by_itself = f"{body.name} is a mesh without bones, which stands still"
     _refuse_changes(run, by_itself, "change the sequence where it comes from", ("crop", "arms_away"))
     if run.recorded_fps is not None:
         body = body.recorded_at(run.recorded_fps)
     if motion is not None:
         ignored = motion if isinstance(motion, str | Path) else motion.name
         warn(f"{by_itself}; the motion {ignored} is not used.")
+    elif stands:
+        warn(f"{by_itself}; a rigged character, or a .pc2 or .mdd beside an .obj, moves.", InputNote)
     if body.from_video and not run.raw_motion:
         warn(
             f"{body.name}: from a video, so what is faster than {CUTOFF:g} Hz is smoothed out; --raw-motion leaves it."
