@@ -21,7 +21,7 @@ from pb4u.body.character_bones import (
 )
 from pb4u.body.character_surface import CharacterSurface
 from pb4u.body.contact_region import reachable, share_out_of_contact
-from pb4u.body.length_units import UNITS, body_unit, extent_of
+from pb4u.body.length_units import UNITS, body_unit, extent_of, is_person
 from pb4u.body.skeleton import Skeleton, hand_bones
 from pb4u.body.skin_pieces import skin_vertices
 from pb4u.body.skinning import SkinningWeights
@@ -335,6 +335,10 @@ def _world(
     """
     unit, note = body_unit(path, extent_of(vertices), units)
     notes = [] if note is None else [f"{path.name}: {note}"]
+    if units is None and unit == "metres" and not is_person(extent_of(vertices)):
+        notes.append(
+            f"{path.name}: it measures {extent_of(vertices):.3g} m, which no person does; --body-units scales it."
+        )
     turn, places = np.eye(3), binds[:, :3, 3]
     if "pelvis" in names:
         pelvis, head, ankle, *hips = (

@@ -63,6 +63,15 @@ def body_unit(file: object, extent: float, given: str | None = None) -> tuple[st
     )
 
 
+def is_person(extent: float) -> bool:
+    """Whether a person may have an extent [m].
+
+    Args:
+        extent: largest along an axis [m].
+    """
+    return _PERSON[0] <= extent <= _PERSON[1]
+
+
 def garment_unit(extent: float) -> str | None:
     """What an extent tells of a garment's unit, as a verb phrase; None where it can be that of one in metres.
 
