@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pb4u.collision.crossings import self_crossings
-from pb4u.errors import InputError, InputNote, Interrupted, noted, warn
+from pb4u.errors import InputError, InputNote, Interrupted, warn
 from pb4u.export.selection import resampled, resampled_count
 from pb4u.garment.tangles import untangled_start
 from pb4u.progress import Progress, no_progress, progress_or_bar
@@ -57,9 +57,7 @@ def scene_for(run: Run, simulator: Simulator) -> Scene:
     Warns:
         InputWarning: that rate is another than the scene's, or the scene has something unusual.
     """
-    with noted() as told:
-        scene = build_scene(run.at_rate(simulated_fps(run, simulator)), run.fps)
-    return replace(scene, notes=tuple(dict.fromkeys((*told, *scene.notes))))
+    return build_scene(run.at_rate(simulated_fps(run, simulator)), run.fps)
 
 
 def simulated_fps(run: Run, simulator: Simulator) -> float:
