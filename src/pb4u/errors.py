@@ -6,6 +6,7 @@ import sys
 import warnings
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -129,13 +130,30 @@ class InputNote(InputWarning):
     """Something that was done with an input, which needs no mending."""
 
 
+_NOTED: ContextVar[tuple[list[str], ...]] = ContextVar("noted", default=())
+
+
+@contextmanager
+def noted() -> Iterator[list[str]]:
+    """The sentences that are warned of meanwhile, whoever else hears them, each once and in their order."""
+    told: list[str] = []
+    token = _NOTED.set((*_NOTED.get(), told))
+    try:
+        yield told
+    finally:
+        _NOTED.reset(token)
+
+
 def warn(sentence: str, kind: type[InputWarning] = InputWarning) -> None:
-    """Warn of an input, as an `InputWarning` at the line outside of this package that gave it.
+    """Warn of an input, as an `InputWarning` at the line outside of this package that gave it; `noted` has it too.
 
     Args:
         sentence: one plain sentence.
         kind: of the warning.
     """
+    for told in _NOTED.get():
+        if sentence not in told:
+            told.append(sentence)
     depth, frame = 2, sys._getframe(1)
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("pb4u."):
         depth, frame = depth + 1, frame.f_back

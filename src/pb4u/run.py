@@ -154,6 +154,7 @@ class Run:
         clip: Clip that a rigged character performs. Default: its first.
         body_parts: Meshes or materials that make the body of a character, separated by commas. Default: all but hair,
             eyes and clothes, by their names.
+        body_units: Unit of length of a character's or a sequence's file. Default: told by the size of a person.
         motion: Built-in motion (`pb4u assets`), or .amc, .bvh, AMASS .npz, VTO .pkl, or from a video GVHMR .pt, WHAM
             .pkl or TRAM .npy (FILE:PERSON of several people). Default: walk, or the body's own.
         crop: Frames A to B-1 of a recording, at its own rate.
@@ -212,6 +213,9 @@ class Run:
     body_shape: Annotated[Mapping[str, float], Flag(BODY, "KEY=VALUE,..")] = field(default_factory=dict, hash=False)
     clip: Annotated[str | None, Flag(BODY, "NAME")] = None
     body_parts: Annotated[str | None, Flag(BODY, "NAME,..")] = None
+    body_units: Annotated[
+        Literal["metres", "centimetres", "millimetres", "inches", "decimetres", "feet"] | None, Flag(BODY, "NAME")
+    ] = None
     motion: Annotated[str | Path | Motion | None, Flag(BODY, "NAME|FILE", is_file=True, form="Motion")] = None
     crop: Annotated[tuple[int, int] | None, Flag(BODY, "A:B")] = None
     arms_away: Annotated[float | None, Flag(BODY, "DEGREES", least=0, most=90)] = None
@@ -350,7 +354,7 @@ class Run:
         bodiless = "body" in values and values["body"] in (None, NONE)
         of_bodies = [name for name, entry in described(Run).items() if entry.flag.panel in (BODY, RESEARCH)]
         belongings = {
-            "body": of_bodies if bodiless else ("clip", "body_parts", "omitted"),
+            "body": of_bodies if bodiless else ("clip", "body_parts", "body_units", "omitted"),
             "motion": ("crop", "clip", "recorded_fps", "raw_motion"),
         }
         replaced = {

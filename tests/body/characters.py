@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import struct
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +87,7 @@ def write_woman(
     rename: Any = None,
     change: Any = None,
     mirrored: bool = False,
+    extra: Sequence[tuple[str, str, np.ndarray, np.ndarray, str | None]] = (),
 ) -> Path:
     """The built-in woman as a rigged character with hair, eyes, two clips and two morph targets.
 
@@ -97,6 +99,8 @@ def write_woman(
         frames: key frames of each clip, at 30 a second.
         rename: function of the name of a bone.
         change: function of the writer before it is saved.
+        extra: meshes beside it: name, material, (vertices, 3) [m], (faces, 3), and the bone that they hang on; None for
+            those of the body's own vertices.
         mirrored: whether the armature mirrors the scene, which the bones then have been made for.
     """
     body = load_body("woman")
@@ -132,6 +136,13 @@ def write_woman(
     for name in clips:
         poses = load_motion(name).poses(body, 30.0, frames)
         _add_clip(writer, name, poses, body, flip, first, mesh)
+    for name, material, places, of_faces, bone in extra:
+        count = len(places)
+        carrier = body
+        if bone is not None:
+            owner = np.full((count, 1), skeleton.index(bone))
+            carrier = replace(body, weights=SkinningWeights(owner, np.ones((count, 1), dtype=np.float32)))
+        _add_mesh(writer, armature, name, material, carrier, places * flip, of_faces, inverse, first, morphs=False)
     if change:
         change(writer)
     return writer.save(path)

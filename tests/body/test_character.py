@@ -253,8 +253,8 @@ def test_a_buffer_beside_the_file_is_read(tmp_path, woman_file):
         load_body(tmp_path / "a.gltf")
 
 
-@pytest.mark.parametrize("height", [177.0, 1770.0])
-def test_a_file_in_centimetres_or_millimetres_is_told(tmp_path, height):
+@pytest.mark.parametrize("height", [177.0, 1770.0, 17.7, 69.6, 5.8])
+def test_a_file_in_another_unit_is_told(tmp_path, height):
     def grow(writer: GltfWriter) -> None:
         armature = writer.document["nodes"][0]
         armature["scale"] = [height / 1.77] * 3

@@ -9,7 +9,7 @@ import trimesh
 
 from pb4u.body.library import load_body
 from pb4u.body.sequence_files import load_vertex_sequence, write_vertex_sequence
-from pb4u.body.vertex_sequence import VertexSequence
+from pb4u.body.vertex_sequence import VertexSequence, body_from_arrays
 from pb4u.errors import InputError, InputWarning
 
 
@@ -237,7 +237,8 @@ def test_an_empty_folder_and_mixed_kinds_are_refused(tmp_path: Path, box: tuple[
         ({"fps": 0.0}, "positive"),
         ({"fps": np.array(["fast"])}, "fps holds <U4, not numbers"),
         ({"contact": np.ones(5, dtype=bool)}, "contact has the shape"),
-        ({"scale": 1000.0}, "metres"),
+        ({"scale": 1e5}, "no person in any unit that is known; say which with --body-units"),
+        ({"scale": 13.5}, "a person in inches or in decimetres; say which with --body-units"),
     ],
 )
 def test_bad_npz_is_refused(
@@ -341,3 +342,31 @@ def test_centimetres_are_told_by_the_size_of_a_person(tmp_path):
     with pytest.warns(InputWarning, match=r"170.*centimetres"):
         sequence = load_vertex_sequence(tmp_path / "mhr.npz")
     assert np.ptp(sequence.positions(0, 1).numpy(), axis=1).max() == pytest.approx(1.7)
+
+
+def test_the_unit_that_is_given_is_taken(tmp_path):
+    box = trimesh.creation.box((0.5, 1.7, 0.3))
+    write_vertex_sequence(tmp_path / "giant.npz", 5.0 * np.stack([box.vertices] * 2), box.faces, 30.0)
+    with pytest.warns(InputWarning, match=r"measures 8.5, so it is taken to be in decimetres, 0.85 m; --body-units"):
+        load_body(tmp_path / "giant.npz")
+    giant = load_body(tmp_path / "giant.npz", units="metres")
+    assert np.ptp(giant.positions(0, 1).numpy(), axis=1).max() == pytest.approx(8.5)
+    with pytest.raises(InputError, match="no unit of length 'yards'"):
+        load_body(tmp_path / "giant.npz", units="yards")
+    with pytest.raises(InputError, match="woman is in metres; leave out --body-units"):
+        load_body("woman", units="feet")
+    with pytest.raises(
+        InputError, match="measures 85 in its own unit, a person in centimetres or in inches; say which"
+    ):
+        body_from_arrays(50.0 * box.vertices, box.faces)
+    metres = body_from_arrays(67.0 * box.vertices, box.faces, units="decimetres")
+    assert metres.rest_vertices[:, 1].max() == pytest.approx(5.695)
+
+
+def test_a_cache_of_another_kind_beside_a_mesh_is_told(tmp_path):
+    box = trimesh.creation.box((0.5, 1.7, 0.3))
+    write_obj(tmp_path / "scan.obj", box.vertices, box.faces.tolist())
+    for name in ("scan.pc16", "scan.mtl", "other.abc"):
+        (tmp_path / name).write_bytes(b"x")
+    with pytest.warns(InputWarning, match=r"scan\.obj: scan\.pc16 beside it is not read, so the mesh stands still"):
+        assert load_vertex_sequence(tmp_path / "scan.obj").frame_count == 1

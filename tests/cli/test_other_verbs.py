@@ -435,3 +435,18 @@ def test_a_swatch_of_a_fabric_stands_beside_what_is_published(pb4u: Callable, tm
     assert (row["material"], row["published"]["highest"]) == ("cotton-jersey", 40)
     assert 0.0 < row["drape_coefficient"] < 60.0
     assert np.asarray(Image.open(sheet).convert("L"), dtype=float)[60:300].std() > 10.0
+
+
+def test_a_report_has_all_that_was_said_and_the_share_of_skin_out_of_contact(pb4u: Callable, tmp_path: Path) -> None:
+    box = trimesh.creation.box((50.0, 170.0, 30.0))
+    write_obj(tmp_path / "scan.obj", PolygonMesh(np.asarray(box.vertices), tuple(np.asarray(box.faces))))
+    file = saved(tmp_path, triangle_tube(low=-0.2, high=0.2, radius=0.3))
+    ended = pb4u("check", file, "--body", tmp_path / "scan.obj", "--json", tmp_path / "r.json")
+    report = json.loads((tmp_path / "r.json").read_text())
+    (note,) = report["notes"]
+    assert "it measures 170, so it is taken to be in centimetres" in note
+    assert note in ended.err
+    assert report["body"] == {"name": "scan", "out_of_contact_percent": 0.0}
+    ended = pb4u("check", file, "--body", tmp_path / "scan.obj", "--body-units", "metres")
+    assert ended.code == 1
+    assert "measures 170 metres, and no figure that wears clothes does" in ended.err

@@ -20,7 +20,10 @@ from alembic3d import Abc, AbcGeom  # noqa: E402
 def meshes(path: Path) -> tuple[Any, dict[str, Any]]:
     """The archive, which has to outlive them, and the schemas of its meshes by name."""
     archive = Abc.IArchive(str(path))
-    return archive, {name: AbcGeom.IPolyMesh(archive.getTop(), name).getSchema() for name in ("Garment", "Body")}
+    top = archive.getTop()
+    return archive, {
+        name: AbcGeom.IPolyMesh(top.getChild(name), f"{name}Shape").getSchema() for name in ("Garment", "Body")
+    }
 
 
 @pytest.mark.parametrize("fps", [24.0, 25.0, 30000 / 1001, 60.0])
@@ -56,3 +59,37 @@ def test_the_authors_own_mesh_is_written(trajectory: Trajectory, tmp_path: Path)
     sample = read["Garment"].getValue(Abc.ISampleSelector(3 / own.fps))
     np.testing.assert_array_equal(np.array([tuple(p) for p in sample.getPositions()], np.float32), own.positions[3])
     del archive
+
+
+def hierarchy(path: Path) -> dict[str, list[str]]:
+    """Names of what lies below the top of an archive -> names of the meshes below each, which holds nothing else."""
+    archive = Abc.IArchive(str(path))
+    below = {}
+    for transform in archive.getTop().children:
+        assert AbcGeom.IXform.matches(transform.getHeader()), "Maya shows nothing of a mesh at the top"
+        assert all(AbcGeom.IPolyMesh.matches(child.getHeader()) for child in transform.children)
+        schema = AbcGeom.IXform(archive.getTop(), transform.getName()).getSchema()
+        identity = [tuple(row) for row in schema.getValue().getMatrix()]
+        np.testing.assert_array_equal(identity, np.eye(4))
+        below[transform.getName()] = [child.getName() for child in transform.children]
+    return below
+
+
+@pytest.mark.parametrize("names", [[], ["tank top", "cardigan"], ["Body", "Body"], ["a/b", "a b"]])
+def test_every_mesh_hangs_from_a_transform_of_its_own(trajectory: Trajectory, tmp_path: Path, names: list[str]) -> None:
+    header = trajectory.header
+    if names:
+        half = len(header.rest_positions) // 2
+        header = replace(
+            header,
+            faces=header.faces[(header.faces < half).all(axis=1) | (header.faces >= half).all(axis=1)],
+            vertex_garment=np.repeat(np.arange(2, dtype=np.int32), half),
+            metadata={"garments": [{"name": name} for name in names]},
+            source=None,
+            uvs=None,
+            uv_faces=None,
+        )
+    below = hierarchy(export(replace(trajectory, header=header), tmp_path / "walk.abc"))
+    assert len(below) == max(len(names), 1) + 1
+    assert below == {name: [f"{name}Shape"] for name in below}
+    assert "Body" in below

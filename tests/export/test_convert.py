@@ -30,7 +30,7 @@ def alembic_points(out: Path, fps: float) -> np.ndarray:
     from alembic3d import Abc, AbcGeom
 
     archive = Abc.IArchive(str(out))
-    schema = AbcGeom.IPolyMesh(archive.getTop(), "Garment").getSchema()
+    schema = AbcGeom.IPolyMesh(archive.getTop().getChild("Garment"), "GarmentShape").getSchema()
     samples = (schema.getValue(Abc.ISampleSelector(t / fps)) for t in range(schema.getNumSamples()))
     return np.array([[tuple(point) for point in sample.getPositions()] for sample in samples])
 

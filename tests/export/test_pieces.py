@@ -93,8 +93,8 @@ def test_alembic_has_a_mesh_for_each_garment(outfit: Trajectory, tmp_path: Path)
     from alembic3d import Abc, AbcGeom
 
     archive = Abc.IArchive(str(export(outfit, tmp_path / "outfit.abc")))
-    group = archive.getTop().getChild("Garment")
-    assert [child.getName() for child in group.children] == ["tank top", "cardigan"]
+    top = archive.getTop()
+    assert [child.getName() for child in top.children] == ["tank top", "cardigan", "Body"]
     count = len(outfit.header.rest_positions) // 2
-    outer = AbcGeom.IPolyMesh(group, "cardigan").getSchema().getValue()
+    outer = AbcGeom.IPolyMesh(top.getChild("cardigan"), "cardiganShape").getSchema().getValue()
     np.testing.assert_array_equal(np.array([tuple(p) for p in outer.getPositions()]), outfit.positions[0][count:])

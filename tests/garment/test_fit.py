@@ -3,9 +3,10 @@ import pytest
 import torch
 from cloth_shapes import tube_arrays
 
+from pb4u.body.length_units import UNITS
 from pb4u.body.library import load_body
 from pb4u.garment.diagnosis import diagnose
-from pb4u.garment.fit import AXES, UNITS, UPRIGHT, RestBody, find_fit
+from pb4u.garment.fit import AXES, UPRIGHT, RestBody, find_fit
 from pb4u.garment.library import build_garment
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.triangle_mesh import vertex_normals
@@ -41,13 +42,22 @@ def test_a_garment_that_fits_is_not_moved(body, shirt):
     np.testing.assert_array_equal(fit.apply(shirt), shirt)
 
 
-@pytest.mark.parametrize("unit", ["centimetres", "inches"])
+@pytest.mark.parametrize("unit", [unit for unit in UNITS if unit != "metres"])
 @pytest.mark.parametrize("axes", ["Z up, facing -Y", "Y up, facing -Z"])
 def test_unit_axes_and_the_models_own_origin_are_found(body, shirt, unit, axes):
     file = ((shirt - np.array([0.0, body.lift, 0.0])) @ AXES[axes]) / UNITS[unit]
     fit = find_fit(file, body)
     assert (fit.unit, fit.axes, fit.searched) == (unit, axes, False)
     np.testing.assert_allclose(fit.apply(file), shirt, atol=1e-9)
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_a_loose_garment_where_it_is_worn_is_not_shrunk_around_a_limb(woman, body, unit):
+    dress = build_garment("dress", woman, 600).vertices
+    # At a third of its size it would fit closer.
+    fit = find_fit(dress / UNITS[unit], body)
+    assert (fit.unit, fit.axes, fit.searched) == (unit, UPRIGHT, False)
+    np.testing.assert_allclose(fit.apply(dress / UNITS[unit]), dress, atol=1e-9)
 
 
 def test_any_other_height_is_searched_for(body, shirt):

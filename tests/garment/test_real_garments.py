@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from cloth_shapes import CLOTH
 
+from pb4u.body.length_units import UNITS
 from pb4u.body.library import load_body
 from pb4u.errors import InputError
 from pb4u.garment.diagnosis import diagnose, require_worn
-from pb4u.garment.fit import AXES, UNITS, UPRIGHT, RestBody, find_fit
+from pb4u.garment.fit import AXES, UPRIGHT, RestBody, find_fit
 from pb4u.garment.garment_file import read_garment, read_source
 from pb4u.garment.parts import Parts
 from pb4u.garment.repair import repair

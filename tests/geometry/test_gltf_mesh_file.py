@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pb4u.errors import InputError
+from pb4u.errors import InputError, InputNote
 from pb4u.geometry.gltf_mesh_file import read_gltf_mesh
 from pb4u.geometry.mesh_file import PolygonMesh
 
@@ -149,3 +149,73 @@ def test_a_mirrored_mesh_keeps_its_outside(tmp_path: Path) -> None:
 def test_damaged_files_are_refused(tmp_path: Path, document: dict[str, Any], says: str) -> None:
     with pytest.raises(InputError, match=says):
         read_gltf_mesh(written(tmp_path, **document))
+
+
+def turned(degrees: float) -> list[float]:
+    half = np.deg2rad(degrees) / 2.0
+    return [float(-np.sin(half)), 0.0, 0.0, float(np.cos(half))]
+
+
+@pytest.mark.parametrize("case", ["armature scaled and turned", "mesh node moved", "two joints", "no inverse binds"])
+def test_a_skin_is_read_by_the_standard_wherever_its_nodes_stand(tmp_path: Path, case: str) -> None:
+    # A square in the world, bound to joints at its lower and upper edge below an armature in centimetres, Z up.
+    armature, lower, upper = np.eye(4), np.eye(4), np.eye(4)
+    armature[:3, :3] = 0.01 * np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    upper[:3, 3] = [0.0, 0.0, 100.0]
+    to_world = [armature @ lower, armature @ lower @ upper]
+    inverse = np.stack([np.linalg.inv(each) for each in to_world]).astype("<f4")
+    positions, joints = CORNERS, np.array([0, 0, 1, 1])
+    if case == "no inverse binds":
+        # Bound where the joint has its origin: positions are in the space of the joint.
+        positions, joints = ((CORNERS - to_world[1][:3, 3]) @ np.linalg.inv(to_world[1][:3, :3]).T).astype("<f4"), None
+    path = written(tmp_path, positions)
+    document = json.loads(path.read_text())
+    content = base64.b64decode(document["buffers"][0]["uri"].partition(",")[2])
+
+    def add(values: np.ndarray, kind: str, component: int) -> int:
+        nonlocal content
+        content += b"\0" * (-len(content) % 4)
+        document["bufferViews"].append({"buffer": 0, "byteOffset": len(content), "byteLength": values.nbytes})
+        document["accessors"].append(
+            {"bufferView": len(document["bufferViews"]) - 1, "componentType": component, "type": kind}
+            | {"count": len(values)}
+        )
+        content += values.tobytes()
+        return len(document["accessors"]) - 1
+
+    places = np.zeros((4, 4), dtype="<u2")
+    places[:, 0] = 1 if joints is None else joints
+    weights = np.tile(np.array([1, 0, 0, 0], dtype="<f4"), (4, 1))
+    attributes = document["meshes"][0]["primitives"][0]["attributes"]
+    attributes |= {"JOINTS_0": add(places, "VEC4", 5123), "WEIGHTS_0": add(weights, "VEC4", 5126)}
+    skin = {"joints": [1, 2]}
+    if case != "no inverse binds":
+        skin["inverseBindMatrices"] = add(np.ascontiguousarray(inverse.transpose(0, 2, 1)), "MAT4", 5126)
+    mesh_node = {"mesh": 0, "skin": 0, **({"translation": [3, 4, 5]} if case == "mesh node moved" else {})}
+    document |= {
+        "skins": [skin],
+        "nodes": [
+            {"scale": [0.01] * 3, "rotation": turned(90.0), "children": [1]}, {"children": [2]},
+            {"translation": [0, 0, 100]}, mesh_node,
+        ],
+        "buffers": [{
+            "byteLength": len(content),
+            "uri": "data:application/octet-stream;base64," + base64.b64encode(content).decode(),
+        }],
+    }  # fmt: skip
+    path.write_text(json.dumps(document))
+    mesh = read_gltf_mesh(path)
+    np.testing.assert_allclose(mesh.vertices, CORNERS, atol=1e-6)
+    assert polygons(mesh) == [[0, 1, 2], [0, 2, 3]]
+    # A joint that stands elsewhere than it was bound takes its vertices along.
+    document["nodes"][2]["translation"] = [0, 0, 150]
+    path.write_text(json.dumps(document))
+    raised = CORNERS + np.array([0.0, 0.5, 0.0]) * (np.ones((4, 1)) if joints is None else joints[:, None])
+    np.testing.assert_allclose(read_gltf_mesh(path).vertices, raised, atol=1e-6)
+
+
+def test_morph_targets_are_left_out_with_a_note(tmp_path: Path) -> None:
+    path = written(tmp_path, primitive={"targets": [{"POSITION": 0}]})
+    with pytest.warns(InputNote, match=r"cloth\.gltf: its morph targets are not used"):
+        mesh = read_gltf_mesh(path)
+    np.testing.assert_array_equal(mesh.vertices, CORNERS)

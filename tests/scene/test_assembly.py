@@ -18,7 +18,7 @@ from pb4u.body.library import load_body
 from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.collision.crossings import self_crossings
 from pb4u.collision.nearest_surface import TriangleSurface
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, InputNote, InputWarning
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import read_garment
 from pb4u.garment.library import build_garment
@@ -214,3 +214,13 @@ def test_a_sequence_tells_of_a_loaded_motion_that_it_does_not_perform(woman: Sha
     with pytest.warns(InputWarning, match="motion dance"):
         scene = make_scene(garment, body, load_motion("dance"), lead_in=0)
     assert (scene.frames, scene.labels["motion"]) == (3, "moving")
+
+
+def test_a_mesh_without_bones_is_said_to_stand(woman: ShapedBody) -> None:
+    body = VertexSequence("scan", woman.vertices[None], woman.faces, 30.0, woman.contact)
+    garment = build_garment("tshirt", woman, 400)
+    with pytest.warns(InputNote, match=r"scan is a mesh without bones, which stands still; a rigged character, or"):
+        scene = make_scene(garment, body, frames=2, lead_in=0)
+    assert any("stands still" in note for note in scene.notes)
+    with pytest.warns(InputWarning, match="scan is a mesh without bones, which stands still; the motion dance is not"):
+        make_scene(garment, body, load_motion("dance"), frames=2, lead_in=0)

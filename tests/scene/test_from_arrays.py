@@ -87,7 +87,11 @@ def test_a_body_from_arrays_is_worn_by(skirt: pb4u.Garment) -> None:
     for vertices, faces, says in (
         (woman.vertices, woman.faces - 1, "indices run from 0"),
         (woman.vertices.T, woman.faces, r"\(frames, vertices, 3\) or \(vertices, 3\)"),
-        (10.0 * woman.vertices, woman.faces, "coordinates are metres"),
+        (
+            10.0 * woman.vertices,
+            woman.faces,
+            'coordinates are metres, and these seem to be decimetres: give units="decim',
+        ),
     ):
         with pytest.raises(pb4u.InputError, match=says):
             pb4u.body_from_arrays(vertices, faces)

@@ -12,16 +12,20 @@ import pytest
 from tests.garment.cloth_shapes import CLOTH, saved
 
 from pb4u.body.body_model import ShapedBody
+from pb4u.body.length_units import UNITS
 from pb4u.body.library import load_body
 from pb4u.errors import InputError, InputNote, InputWarning
+from pb4u.garment.diagnosis import diagnose
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
+from pb4u.garment.garment_file import read_source
 from pb4u.garment.library import build_garment
 from pb4u.garment.limbs_inside import limbs_outside
 from pb4u.garment.material import MATERIALS, DirectionalBending, Material
 from pb4u.garment.source_map import remeshed
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.run import WornGarment
+from pb4u.scene.assembly import make_scene
 from pb4u.scene.loaded_garments import kind_of, load_garment
 
 PINS = tuple(range(20, 40))
@@ -49,6 +53,20 @@ def dented(woman: ShapedBody) -> Garment:
     vertices[back, 2] += 0.14
     assert limbs_outside(vertices, shirt.faces, woman)
     return Garment("dented", vertices, shirt.faces, CLOTH)
+
+
+@pytest.mark.parametrize("unit", [unit for unit in UNITS if unit != "metres"])
+def test_check_and_simulate_say_the_same_of_a_unit(woman: ShapedBody, tmp_path: Path, unit: str) -> None:
+    shirt = build_garment("tshirt", woman, 300)
+    mesh = PolygonMesh(shirt.vertices / UNITS[unit], tuple(shirt.faces))
+    file = saved(tmp_path, mesh)
+    found = diagnose(read_source(file), woman, file, "woman")
+    (units,) = (finding for finding in found.findings if finding.code == "units")
+    assert f"The garment is in {unit}" in units.sentence
+    with pytest.raises(InputError) as refused:
+        load_garment(WornGarment(file), woman)
+    assert str(refused.value) == f"{file.stem}: {units.sentence[:-1]}; {units.fix}."
+    assert f"scale it by {UNITS[unit]:g} with" in units.fix
 
 
 def sources(garment: Garment, body: ShapedBody, folder: Path) -> dict[str, str | Path | Garment]:
@@ -164,3 +182,16 @@ def test_woven_cloth_without_grain_is_the_same_in_all_directions_and_a_note_says
     for garment in (flat, given):
         assert set(garment.of_faces("membrane")[:, 1]) == {900.0}
         assert len(np.unique(garment.hinge_bending)) > 100
+
+
+def test_all_that_is_said_of_a_garment_is_among_the_notes_of_its_scene(woman: ShapedBody, tmp_path: Path) -> None:
+    shirt = build_garment("tshirt", woman, 600)
+    loose = PolygonMesh(np.concatenate([shirt.vertices, [[0.0, 1.0, 0.3]]]), (*shirt.faces, shirt.faces[0]))
+    file = saved(tmp_path, loose)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        scene = make_scene(file, woman, frames=1, lead_in=0)
+    said = [str(each.message) for each in caught]
+    assert any("1 face(s) are there twice" in sentence for sentence in said)
+    assert any("1 vertices belong to no face" in sentence for sentence in said)
+    assert list(scene.notes) == list(dict.fromkeys(said))

@@ -84,3 +84,8 @@ def test_a_world_without_a_body_stands_beside_one_with_a_body() -> None:
     mine = step.garments.vertex_world == 1
     assert not planes.touchable[mine].any()
     assert planes.touchable[~mine].any()
+
+
+def test_a_scene_without_a_garment_is_refused() -> None:
+    with pytest.raises(pb4u.InputError, match="A scene has no garment"):
+        pb4u.Scene((), (), 2)

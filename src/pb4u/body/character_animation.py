@@ -6,6 +6,7 @@ import numpy as np
 
 from pb4u.body.node_animation import Channel, Clip, NodePoses, NodeTree, parted
 from pb4u.errors import InputError
+from pb4u.geometry.gltf_skin import node_order
 from pb4u.geometry.rotation import from_xyzw
 from pb4u.io.gltf_file import GltfFile
 from pb4u.io.reading_limits import names_text
@@ -18,22 +19,7 @@ def node_tree(file: GltfFile) -> NodeTree:
         file: a glTF file.
     """
     entries = file.entries("nodes")
-    parents = np.full(len(entries), -1, dtype=np.int64)
-    for node, entry in enumerate(entries):
-        for child in entry.get("children", ()):
-            if parents[child] >= 0 or child == node:
-                raise ValueError(f"node {child} has two parents")
-            parents[child] = node
-    order: list[int] = []
-    reached = np.zeros(len(entries), dtype=bool)
-    waiting = np.flatnonzero(parents < 0).tolist()
-    while waiting:
-        node = waiting.pop()
-        reached[node] = True
-        order.append(node)
-        waiting += entries[node].get("children", ())
-    if not reached.all():
-        raise ValueError("its nodes hang on each other in a circle")
+    parents, order = node_order(file)
     translations, rotations, scales = (
         np.zeros((len(entries), 3)),
         np.zeros((len(entries), 4)),
@@ -61,7 +47,7 @@ def node_tree(file: GltfFile) -> NodeTree:
                 raise ValueError(f"node {node} has {len(given)} weights for {targets} morph targets")
             weights[node] = np.array(given, dtype=np.float64).reshape(1, targets)
     poses = NodePoses(translations[None], rotations[None], scales[None], weights)
-    return NodeTree(tuple(str(e.get("name", "")) for e in entries), parents, tuple(order), poses, np.eye(4))
+    return NodeTree(tuple(str(e.get("name", "")) for e in entries), parents, order, poses, np.eye(4))
 
 
 def clip_names(file: GltfFile) -> list[str]:

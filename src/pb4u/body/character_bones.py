@@ -15,30 +15,6 @@ from pb4u.io.gltf_file import GltfFile
 _MOST_BONES = 2000
 
 
-def read_skins(file: GltfFile, used: set[int]) -> tuple[dict[int, list[int]], dict[int, np.ndarray]]:
-    """Nodes of the joints of each skin, and the inverse bind matrices (joints, 4, 4).
-
-    Args:
-        file: a glTF file.
-        used: numbers of the skins to read.
-
-    Raises:
-        ValueError: a skin has no bind pose that can be inverted.
-    """
-    nodes, inverses = {}, {}
-    for skin in sorted(used):
-        entry = file.entries("skins")[skin]
-        nodes[skin] = [int(node) for node in entry["joints"]]
-        if "inverseBindMatrices" in entry:
-            flat = file.array(entry["inverseBindMatrices"])[: len(nodes[skin])]
-            inverses[skin] = flat.reshape(-1, 4, 4).transpose(0, 2, 1)
-        else:
-            inverses[skin] = np.tile(np.eye(4), (len(nodes[skin]), 1, 1))
-        if len(inverses[skin]) < len(nodes[skin]) or not (np.abs(np.linalg.det(inverses[skin])) > 1e-20).all():
-            raise ValueError(f"skin {skin} has no bind pose")
-    return nodes, inverses
-
-
 def bind_spaces(
     tree: NodeTree, still: np.ndarray, nodes: dict[int, list[int]], inverses: dict[int, np.ndarray]
 ) -> dict[int, np.ndarray]:

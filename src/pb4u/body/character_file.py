@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pb4u.body.bone_names import NEEDED
 from pb4u.body.character import Character, Morph, Rig
 from pb4u.body.character_animation import clip_names, node_tree, read_clip
 from pb4u.body.character_bones import (
@@ -17,13 +18,15 @@ from pb4u.body.character_bones import (
     merged_bones,
     nearest_axes,
     ordered_bones,
-    read_skins,
 )
 from pb4u.body.character_surface import CharacterSurface
-from pb4u.body.contact_region import reachable
+from pb4u.body.contact_region import reachable, share_out_of_contact
+from pb4u.body.length_units import UNITS, body_unit, extent_of, is_person
 from pb4u.body.skeleton import Skeleton, hand_bones
+from pb4u.body.skin_pieces import skin_vertices
 from pb4u.body.skinning import SkinningWeights
-from pb4u.errors import InputError
+from pb4u.errors import InputError, warn
+from pb4u.geometry.gltf_skin import influences, read_skins
 from pb4u.geometry.topology import Topology, joined_indices, offsets
 from pb4u.io.gltf_file import GltfFile, read_gltf
 from pb4u.io.reading_limits import names_text, refusing
@@ -36,11 +39,11 @@ _NOT_SKIN = re.compile(
     re.IGNORECASE,
 )
 _SKIN = re.compile(r"skin|body|face|flesh", re.IGNORECASE)
-# Extent [m] of a character; a larger one is in centimetres or millimetres.
-_SIZES = {1.0: (0.1, 10.0), 0.01: (10.0, 1000.0), 0.001: (1000.0, 1e4)}
 _MOST_TRIANGLES = 1_000_000
 # Rays with which it is seen whether cloth can reach a vertex: a tenth of a millisecond each vertex.
 _RAYS = 32
+# Share of the skin out of contact, hands aside, that is told of: eyes, mouth and folds of sound ones have less.
+_MOST_OUT = 0.06
 _OTHER_SIDE = re.compile("left|right")
 
 
@@ -74,6 +77,16 @@ class _Part:
     def title(self) -> str:
         return next((name for name in reversed(self.names) if name), "a mesh without a name")
 
+    def only(self, mask: np.ndarray) -> _Part:
+        """The part with some of its vertices alone, (vertices,) bool."""
+        if mask.all():
+            return self
+        faces = (np.cumsum(mask) - 1)[self.faces[mask[self.faces].all(axis=1)]]
+        return replace(
+            self, vertices=self.vertices[mask], faces=faces, joints=self.joints[mask], weights=self.weights[mask],
+            targets=self.targets[:, mask],
+        )  # fmt: skip
+
     @property
     def is_skin(self) -> bool:
         *meshes, material = self.names
@@ -82,7 +95,9 @@ class _Part:
         return bool(_SKIN.search(material)) or not any(_NOT_SKIN.search(name) for name in meshes)
 
 
-def read_character(path: Path, clip: str | None = None, parts: Collection[str] | None = None) -> Character:
+def read_character(
+    path: Path, clip: str | None = None, parts: Collection[str] | None = None, units: str | None = None
+) -> Character:
     """The character of a glTF or VRM file in its bind pose, feet on y = 0, facing +Z.
 
     All skinned meshes are joined but hair, eyes, clothes and the like, recognised by their names and those of their
@@ -92,16 +107,17 @@ def read_character(path: Path, clip: str | None = None, parts: Collection[str] |
         path: the .glb, .gltf or .vrm.
         clip: name of the animation that it performs; the first where left out.
         parts: names of the meshes or materials that make the body; recognised by their names where left out.
+        units: name of its unit of length; told by the size of a person where left out.
 
     Raises:
         InputError: it is no glTF, is compressed by Draco or meshopt, has no skin, no such clip or part, or is damaged.
     """
     file = read_gltf(path)
     with refusing(path, "is damaged"):
-        return _character(file, clip, parts)
+        return _character(file, clip, parts, units)
 
 
-def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) -> Character:
+def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None, units: str | None) -> Character:
     path = file.path
     tree = node_tree(file)
     chosen, left = _chosen(path, _parts(file), parts)
@@ -112,14 +128,17 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
     bones, matrices, bone_of = merged_bones(path, nodes, inverses, places)
     surface = _joined(chosen, places, nodes, bone_of)
     order, names, parents = ordered_bones(file, tree, bones)
+    if parts is None:
+        chosen, covers = _skin_alone(chosen, skin_vertices(surface, _limbs(names, parents)[np.argsort(order)]))
+        surface, left = _joined(chosen, places, nodes, bone_of), [*left, *covers]
+    left += [title for title in _unskinned(file) if title not in left]
     rank = np.argsort(order)
     binds = np.stack(matrices)[order]
     ranked = np.array(bones)[order]
     surface = surface.renumbered(rank)
-    world, names, more = _world(path, surface.vertices, names, binds)
-    notes = (
-        [*more] if not left else [f"{path.name}: left out of the body: {', '.join(left)}; --body-parts chooses.", *more]
-    )
+    world, names, more = _world(path, surface.vertices, names, binds, units)
+    taken = f"{path.name}: the body is {', '.join(dict.fromkeys(part.title for part in chosen))}"
+    notes = [f"{taken}; left out of the body: {', '.join(left)}; --body-parts chooses." if left else f"{taken}.", *more]
     surface, welded = surface.moved(world).welded()
     surface, closed = surface.turned_outward().closed()
     if closed:
@@ -134,6 +153,7 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
     skinning = SkinningWeights(surface.bones, surface.weights.astype(np.float32))
     of_hand = skinning.share_of(hand_bones(names, parents))
     contact = reachable(surface.vertices, surface.faces, of_hand <= 0.5, _RAYS)
+    notes.append(_tell_of_contact(path, surface, contact, of_hand > 0.5))
     morphs = _morphs(chosen, places, world, welded)
     if "pelvis" not in names:
         notes.append(
@@ -154,6 +174,55 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
         clip_names=tuple(clip_names(file)),
         notes=tuple(notes),
     )
+
+
+def _limbs(names: list[str], parents: list[int]) -> np.ndarray:
+    """Number (bones,) int64 of the limb or head that each bone of a human is in, -1 of the trunk; its own of others."""
+    if "pelvis" not in names:
+        return np.arange(len(names))
+    limbs = np.full(len(names), -1)
+    for bone, (name, parent) in enumerate(zip(names, parents, strict=True)):
+        limbs[bone] = bone if name in NEEDED else limbs[parent] if parent >= 0 else -1
+    return limbs
+
+
+def _tell_of_contact(path: Path, surface: CharacterSurface, contact: np.ndarray, of_hand: np.ndarray) -> str:
+    """What is said of the skin that takes no part in contact; warns where much of it is no hand."""
+    out = share_out_of_contact(surface.vertices, surface.faces, contact)
+    beyond = share_out_of_contact(surface.vertices, surface.faces, contact | of_hand)
+    if beyond > _MOST_OUT:
+        warn(
+            f"{path.name}: {100 * beyond:.0f} % of its skin is out of contact besides the hands, since other surface "
+            "lies over it: cloth passes through there; leave that out with --body-parts."
+        )
+    return f"{path.name}: {100 * out:.0f} % of its skin is out of contact: the hands, and what cloth cannot reach."
+
+
+def _unskinned(file: GltfFile) -> list[str]:
+    """Names of the meshes that hang on no bones."""
+    meshes = file.entries("meshes")
+    return [
+        str(entry.get("name") or meshes[entry["mesh"]].get("name") or "a mesh without a name")
+        for entry in file.entries("nodes")
+        if "mesh" in entry and "skin" not in entry
+    ]
+
+
+def _skin_alone(parts: list[_Part], skin: np.ndarray) -> tuple[list[_Part], list[str]]:
+    """The parts without what is no skin, and titles of that; `skin` (vertices,) bool is of all parts."""
+    kept, left = list[_Part](), list[str]()
+    starts = offsets([part.vertices for part in parts])
+    own = [skin[start : start + len(part.vertices)] for start, part in zip(starts, parts, strict=False)]
+    titles = [part.title for part, mask in zip(parts, own, strict=True) if mask.any()]
+    for part, mask in zip(parts, own, strict=True):
+        named = part.title if part.title not in titles else next(filter(None, part.names), part.title)
+        if not mask.any():
+            left.append(named)
+            continue
+        kept.append(part.only(mask))
+        if lost := len(part.faces) - len(kept[-1].faces):
+            left.append(f"{lost:,} faces of {named} that are no skin")
+    return kept, list(dict.fromkeys(left))
 
 
 def _joined(
@@ -210,17 +279,12 @@ def _parts(file: GltfFile) -> list[_Part]:
                 np.int64
             )
             faces = faces[: len(faces) // 3 * 3].reshape(-1, 3)
-            sets = range(sum(name.startswith("JOINTS_") for name in attributes))
-            joints = np.concatenate([file.array(attributes[f"JOINTS_{k}"]) for k in sets], axis=1).astype(np.int64)
-            weights = np.concatenate([file.array(attributes[f"WEIGHTS_{k}"]) for k in sets], axis=1).astype(np.float64)
-            count = len(file.entries("skins")[entry["skin"]]["joints"])
-            if not len(faces) or faces.max() >= len(vertices) or len(joints) != len(vertices):
+            if not len(faces) or faces.max() >= len(vertices):
                 raise ValueError("a triangle has a vertex that is not there")
-            if joints.min() < 0 or joints.max() >= count or weights.shape != joints.shape:
-                raise ValueError("a vertex hangs on a bone that is not there")
-            total = weights.sum(axis=1, keepdims=True)
-            if not np.isfinite(vertices).all() or (weights < 0.0).any() or not (total > 0.0).all():
+            if not np.isfinite(vertices).all():
                 raise ValueError("a vertex has no finite place, or no weight")
+            count = len(file.entries("skins")[entry["skin"]]["joints"])
+            joints, weights = influences(file, attributes, len(vertices), count)
             targets = [
                 file.array(t["POSITION"]) if "POSITION" in t else np.zeros_like(vertices)
                 for t in primitive.get("targets", ())
@@ -231,7 +295,7 @@ def _parts(file: GltfFile) -> list[_Part]:
             moved = np.array(targets, dtype=np.float64).reshape(len(targets), len(vertices), 3)
             if not np.isfinite(moved).all():
                 raise ValueError("a morph target is not finite")
-            part = (names, node, entry["skin"], vertices, faces, joints, weights / total, moved, own)
+            part = (names, node, entry["skin"], vertices, faces, joints, weights, moved, own)
             found.append(_Part(*part))
     return found
 
@@ -263,20 +327,17 @@ def _chosen(path: Path, parts: list[_Part], wanted: Collection[str] | None) -> t
 
 
 def _world(
-    path: Path, vertices: np.ndarray, names: list[str], binds: np.ndarray
+    path: Path, vertices: np.ndarray, names: list[str], binds: np.ndarray, units: str | None
 ) -> tuple[np.ndarray, list[str], list[str]]:
     """Transform (4, 4) of the scene to the world, names of the bones in it, and notes.
 
     In metres, upright and facing +Z, the hips over the origin and the feet at y = 0.
     """
-    size = float(np.ptp(vertices, axis=0).max())
-    unit = next((unit for unit, (low, high) in _SIZES.items() if low <= size < high), None)
-    if unit is None:
-        raise InputError(f"{path}: the character measures {size:g} m; glTF is in metres, scale it and export it again.")
-    notes = []
-    if unit != 1.0:
+    unit, note = body_unit(path, extent_of(vertices), units)
+    notes = [] if note is None else [f"{path.name}: {note}"]
+    if units is None and unit == "metres" and not is_person(extent_of(vertices)):
         notes.append(
-            f"{path.name}: {size:.0f} m tall, so it is taken to be in {'centi' if unit == 0.01 else 'milli'}metres."
+            f"{path.name}: it measures {extent_of(vertices):.3g} m, which no person does; --body-units scales it."
         )
     turn, places = np.eye(3), binds[:, :3, 3]
     if "pelvis" in names:
@@ -297,7 +358,7 @@ def _world(
             upright = "" if turn[1, 1] == 1.0 else "upright and "
             notes.append(f"{path.name}: turned {upright}to face +Z, by its hips, head and feet.")
     world = np.eye(4)
-    world[:3, :3] = unit * turn
+    world[:3, :3] = UNITS[unit] * turn
     moved = vertices @ world[:3, :3].T
     middle = world[:3, :3] @ places[0] if "pelvis" in names else 0.5 * (moved.min(axis=0) + moved.max(axis=0))
     world[:3, 3] = -np.array([middle[0], moved[:, 1].min(), middle[2]])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pb4u.geometry.triangle_mesh import face_areas
+
 # For cloth to reach a vertex it must be free so far along its normal [m], and less than this share of its sky hidden.
 _CLEARANCE = 1e-3
 _HIDDEN = 0.95
@@ -37,3 +39,15 @@ def reachable(
     result = np.zeros(len(vertices), dtype=bool)
     result[rows] = np.asarray(occlusion).reshape(-1) < _HIDDEN
     return result
+
+
+def share_out_of_contact(vertices: np.ndarray, faces: np.ndarray, contact: np.ndarray) -> float:
+    """Share of a body's area that takes no part in contact.
+
+    Args:
+        vertices: (vertices, 3) at rest [m].
+        faces: (faces, 3) int64.
+        contact: (vertices,) bool.
+    """
+    area = face_areas(vertices, faces)
+    return float(area[~contact[faces].all(axis=1)].sum() / max(float(area.sum()), 1e-30))

@@ -30,6 +30,8 @@ class _Format(NamedTuple):
     suffixes: tuple[str, ...]
     # An .npz is of this kind where it has one of these; none for a kind that its suffix alone tells.
     members: tuple[str, ...] = ()
+    # Whether the unit of its lengths may be given.
+    any_unit: bool = False
 
 
 _FOLDER = "/"
@@ -38,10 +40,10 @@ _CHARACTER = "pb4u.body.character_file:read_character"
 _FORMATS = (
     _Format("pb4u.body.baked_body:BakedBody", (".npz",), ("term_basis",)),
     _Format("pb4u.body.smpl:SmplBody", (".npz",), ("v_template", "shapedirs", "kintree_table")),
-    _Format("pb4u.body.library:read_pickled_body", (".pkl",)),
+    _Format("pb4u.body.library:read_pickled_body", (".pkl",), any_unit=True),
     _Format(_CHARACTER, GLTF_SUFFIXES),
     _Format("pb4u.body.sam3d_body:read_sam3d_body", (".npz", _FOLDER), (VERTICES,)),
-    _Format("pb4u.body.sequence_files:load_vertex_sequence", (".npz", *SUFFIXES, _FOLDER)),
+    _Format("pb4u.body.sequence_files:load_vertex_sequence", (".npz", *SUFFIXES, _FOLDER), any_unit=True),
 )
 _MODELS = {"anny": "pb4u.body.anny_body:AnnyBody"}
 
@@ -62,6 +64,7 @@ def load_body(
     *,
     clip: str | None = None,
     parts: Collection[str] | None = None,
+    units: str | None = None,
 ) -> ShapedBody | VertexSequence:
     """A body by name, or from a file or folder.
 
@@ -71,6 +74,8 @@ def load_body(
         shape: shape parameters by name; a character and a moving surface have none.
         clip: name of the clip that a character performs; its first where left out.
         parts: names of the meshes or materials that make a character's body; recognised by their names where left out.
+        units: unit of length of a character's or a moving surface's file, such as "inches"; told by the size of a
+            person where left out.
 
     Raises:
         InputError: the name is unknown, the file cannot be used, or a shape parameter does not fit.
@@ -80,13 +85,17 @@ def load_body(
     if Path(name).suffix.lower() in GLTF_SUFFIXES and Path(name).is_file():
         if given:
             raise InputError(f"{name} is a character without shape parameters; leave out {', '.join(given)}.")
-        return read_character(Path(name), clip, parts)
+        return read_character(Path(name), clip, parts, units)
     if clip is not None or parts is not None:
         option = "clip" if clip is not None else "body-parts"
         raise InputError(f"{name} is no rigged character ({', '.join(GLTF_SUFFIXES)}); leave out --{option}.")
+    if units is not None and (name in BUILT_IN or name in _MODELS):
+        raise InputError(f"{name} is in metres; leave out --body-units.")
     if name in BUILT_IN:
         return _built_in(name, tuple(sorted(given.items())))
-    body: BodyModel | VertexSequence = resolve_name(_MODELS[name])() if name in _MODELS else _read(Path(name_or_path))
+    body: BodyModel | VertexSequence = (
+        resolve_name(_MODELS[name])() if name in _MODELS else _read(Path(name_or_path), units)
+    )
     if isinstance(body, BodyModel):
         return body.shaped(**given)
     if given:
@@ -110,18 +119,25 @@ def load_boned_body(name_or_path: str | Path, shape: Mapping[str, float] | None 
     return body
 
 
-def read_pickled_body(path: Path) -> BodyModel | VertexSequence:
+def read_pickled_body(path: Path, units: str | None = None) -> BodyModel | VertexSequence:
     """A body in a pickle, of which nothing is run: a sequence of vertices where it has them, else an SMPL model.
 
     Args:
         path: the file.
+        units: name of its unit of length, where it is a sequence.
 
     Raises:
-        InputError: it is neither, or its parts do not fit each other.
+        InputError: it is neither, its parts do not fit each other, or a unit is given for a model.
     """
     content = load_pickle(path)
     is_sequence = isinstance(content, Mapping) and "verts" in content
-    return load_vertex_sequence(path) if is_sequence else SmplBody(path)
+    if units is not None and not is_sequence:
+        raise _in_metres(path)
+    return load_vertex_sequence(path, units) if is_sequence else SmplBody(path)
+
+
+def _in_metres(path: Path) -> InputError:
+    return InputError(f"{path} is of a kind that is in metres; leave out --body-units.")
 
 
 @lru_cache(maxsize=4)
@@ -130,7 +146,7 @@ def _built_in(name: str, shape: tuple[tuple[str, float], ...]) -> ShapedBody:
     return BakedBody.built_in(name).shaped(**dict(shape))
 
 
-def _read(path: Path) -> BodyModel | VertexSequence:
+def _read(path: Path, units: str | None) -> BodyModel | VertexSequence:
     suffix, names = path.suffix.lower(), (*BUILT_IN, *(each for each in _MODELS if find_spec(each) is not None))
     if suffix and suffix not in file_suffixes() and not path.is_dir():
         raise unread_kind(path, "body", file_suffixes())
@@ -150,4 +166,7 @@ def _read(path: Path) -> BodyModel | VertexSequence:
         members = {VERTICES}
     fitting = (f for f in _FORMATS if suffix in f.suffixes and (not f.members or members & set(f.members)))
     # What is of no known kind is refused by the reader of the last one, which lists the kinds.
-    return resolve_name(next(fitting, _FORMATS[-1]).reader)(path)
+    form = next(fitting, _FORMATS[-1])
+    if units is not None and not form.any_unit:
+        raise _in_metres(path)
+    return resolve_name(form.reader)(path, units) if form.any_unit else resolve_name(form.reader)(path)

@@ -52,13 +52,14 @@ def write_vertex_sequence(
         replace_file(Path(path), buffer.getvalue())
 
 
-def load_vertex_sequence(path: str | Path) -> VertexSequence:
+def load_vertex_sequence(path: str | Path, units: str | None = None) -> VertexSequence:
     """Read an .npz, a folder of OBJ or PLY files, or an OBJ with a .pc2 or .mdd point cache of the same name.
 
     Warns where the body is not closed, leaps, or seems to be Z up.
 
     Args:
         path: the file or folder; of an OBJ and its cache, either. It plays at 30 frames per second where it names none.
+        units: name of its unit of length; told by the size of a person where left out.
 
     Raises:
         InputError: the file cannot be used.
@@ -79,7 +80,7 @@ def load_vertex_sequence(path: str | Path) -> VertexSequence:
             f"{path}: a moving body is an .npz, a folder of OBJ or PLY files, or an OBJ with a {' or '.join(_CACHES)} "
             "beside it."
         )
-    vertices, faces = require_usable(path, vertices, faces)
+    vertices, faces = require_usable(path, vertices, faces, units)
     sequence = VertexSequence(path.stem, vertices, faces, DEFAULT_FPS if fps is None else fps, contact)
     warn_of_oddities(path, sequence)
     return sequence
@@ -212,6 +213,11 @@ def _read_mesh_and_cache(path: Path) -> tuple[np.ndarray, np.ndarray, float | No
         surface, cache = path, next((beside[suffix] for suffix in _CACHES if suffix in beside), path)
     vertices, faces = surface_of(surface)
     if cache == surface:
+        if unread := [file.name for suffix, file in beside.items() if suffix in _UNREAD]:
+            warn(
+                f"{path}: {', '.join(unread)} beside it is not read, so the mesh stands still; a body moves by "
+                f"{' or '.join(_CACHES)}."
+            )
         return vertices[None].astype(np.float32), faces, None
     positions, fps = _CACHES[cache.suffix.lower()](cache)
     if positions.shape[1] != len(vertices):
@@ -260,5 +266,8 @@ def _map_points(path: Path, offset: int, frames: int, points: int, dtype: str) -
 _CACHES = {".pc2": _read_pc2, ".mdd": _read_mdd}
 """Readers of positions (frames, points, 3) [m] and frames per second, None where the file has none; an OBJ has the
 faces."""
+
+_UNREAD = (".pc16", ".pc", ".mcx", ".mc", ".mcc", ".xml", ".abc", ".bphys", ".ptc", ".cache")
+"""Suffixes of other programs' caches, and of point caches in half precision."""
 
 SUFFIXES = (*_MESH_SUFFIXES, *_CACHES)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from pb4u.body.animated_body import AnimatedBody
+from pb4u.body.length_units import UNITS, body_unit, extent_of
 from pb4u.errors import InputError, warn
 from pb4u.geometry.low_pass import is_sampled_enough, low_passed
 from pb4u.geometry.mesh_arrays import as_numbers, checked_faces
@@ -19,10 +20,6 @@ from pb4u.geometry.mesh_arrays import as_numbers, checked_faces
 DEFAULT_FPS = 30.0
 MOST_TRIANGLES = 1_000_000
 """Triangles that a body may have; it bounds the search tree that is built each frame, and more are refused."""
-# Extent [m] of the first frame between which coordinates may be metres: a doll's hand, a house.
-_PLAUSIBLE_SIZE = (0.1, 10.0)
-# Extent of a person in centimetres, arms down or out; nothing that is dressed has so many metres.
-_CENTIMETRES = (100.0, 300.0)
 # Frames whose numbers are checked at a time, which bounds the memory of a mapped file.
 _CHECKED_FRAMES = 64
 
@@ -146,6 +143,7 @@ def body_from_arrays(
     fps: float = DEFAULT_FPS,
     name: str = "body",
     contact: ArrayLike | None = None,
+    units: str = "metres",
 ) -> VertexSequence:
     """A body of your own, moving or standing, from arrays or lists.
 
@@ -157,9 +155,10 @@ def body_from_arrays(
         fps: frames per second.
         name: what it is called.
         contact: (vertices,) bool, False where contact is not answered; all True when not given.
+        units: unit of the vertices, one of `pb4u.body.length_units.UNITS`.
 
     Raises:
-        InputError: an array has another shape or holds what cannot be used.
+        InputError: an array has another shape or holds what cannot be used, or no person has its size in these units.
     """
     points = as_numbers(name, "vertices", vertices)
     points = points[None] if points.ndim == 2 else points
@@ -169,7 +168,12 @@ def body_from_arrays(
             "belongs."
         )
     corners = checked_faces(name, faces, points.shape[1])
-    points, corners = require_usable(name, points, corners)
+    if units == "metres" and (unit := body_unit(name, extent_of(points[0]))[0]) != units:
+        raise InputError(
+            f"{name}: the body measures {extent_of(points[0]):.3g} m in its first frame; coordinates are metres, and "
+            f'these seem to be {unit}: give units="{unit}", or scale them by {UNITS[unit]:g}.'
+        )
+    points, corners = require_usable(name, points, corners, units)
     touched = None if contact is None else np.asarray(contact)
     if touched is not None and (touched.shape != (points.shape[1],) or touched.dtype != bool):
         raise InputError(f"{name}: contact is a bool for each of its {points.shape[1]} vertices.")
@@ -195,16 +199,19 @@ def refuse_large(path: Path | str, triangles: int) -> None:
         )
 
 
-def require_usable(path: Path | str, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def require_usable(
+    path: Path | str, vertices: np.ndarray, faces: np.ndarray, units: str | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Vertices in metres and faces turned outward, of a body that can be used.
 
     Args:
         path: its file, for the message.
-        vertices: (frames, vertices, 3) [m], or in centimetres, which is recognised by their extent.
+        vertices: (frames, vertices, 3), in the unit of the file.
         faces: (faces, 3) int64.
+        units: name of the unit; recognised by the extent of the first frame where left out.
 
     Returns:
-        The same, centimetres as metres; warns of what was changed.
+        The same, in metres; warns of what was changed.
 
     Raises:
         InputError: it has no faces or too many, a face names no vertex, or a number is not finite or no length.
@@ -220,16 +227,11 @@ def require_usable(path: Path | str, vertices: np.ndarray, faces: np.ndarray) ->
             raise InputError(
                 f"{path}: vertex {bad[0, 1]} of frame {start + bad[0, 0]} is not a finite number; export it again."
             )
-    size = float(np.ptp(vertices[0], axis=0).max())
-    low, high = _PLAUSIBLE_SIZE
-    if _CENTIMETRES[0] <= size <= _CENTIMETRES[1]:
-        warn(f"{path}: it measures {size:.0f}, so it is taken to be in centimetres.")
-        vertices, size = np.asarray(vertices, dtype=np.float32) * np.float32(0.01), 0.01 * size
-    if not low <= size <= high:
-        raise InputError(
-            f"{path}: the body measures {size:g} m in its first frame; coordinates are metres, "
-            f"scale them by {0.001 if size > 1000 else 0.01 if size > high else 100:g} or so and export again."
-        )
+    unit, note = body_unit(path, extent_of(vertices[0]), units)
+    if note is not None:
+        warn(f"{path}: {note}")
+    if unit != "metres":
+        vertices = np.asarray(vertices, dtype=np.float32) * np.float32(UNITS[unit])
     return vertices, _outward(path, vertices[0], faces)
 
 

@@ -17,9 +17,10 @@ from pb4u.cli.console import (
     check_json_target,
     keep_inputs,
     verb,
+    with_notes,
     write_json,
 )
-from pb4u.errors import InputError, InputWarning, Pb4uError, warn
+from pb4u.errors import InputError, InputNote, InputWarning, Pb4uError, warn
 from pb4u.io.atomic_file import check_writable
 
 
@@ -29,6 +30,7 @@ def check(
     garment: Annotated[list[str] | None, typer.Option(metavar="NAME|FILE")] = None,
     body: Annotated[str, typer.Option(metavar="NAME|FILE")] = DEFAULT_BODY,
     body_shape: ShapeFlag = None,
+    body_units: Annotated[str | None, typer.Option(metavar="NAME")] = None,
     motion: Annotated[str | None, typer.Option(metavar="NAME|FILE")] = None,
     crop: CropFlag = None,
     triangles: int | None = None,
@@ -45,6 +47,7 @@ def check(
             then also where they cross each other.
         body: Body that is to wear it.
         body_shape: shape of the body.
+        body_units: Unit of length of the body's file. Default: told by the size of a person.
         motion: Motion to read and retarget as well.
         crop: frames of the recording.
         triangles: Triangles of a built-in garment or a pattern.
@@ -54,7 +57,9 @@ def check(
     Raises:
         InputError: the arguments contradict each other, or a file cannot be read or written.
     """
+    from pb4u.body.contact_region import share_out_of_contact
     from pb4u.body.library import load_body
+    from pb4u.body.vertex_sequence import VertexSequence
 
     names = _named_garments(file, garment, motion, crop, fix)
     given = names[0] if names else None
@@ -67,8 +72,13 @@ def check(
     with warnings.catch_warnings():
         if names:  # a finding of each garment says so
             warnings.filterwarnings("ignore", ".*the body is not closed", InputWarning)
-        figure = load_body(body, BodyShape.of(body_shape))
-    report: dict[str, Any] = {}
+        figure = load_body(body, BodyShape.of(body_shape), units=body_units)
+    for note in getattr(figure, "notes", ()):
+        warn(note, InputNote)
+    out = share_out_of_contact(
+        figure.rest_vertices if isinstance(figure, VertexSequence) else figure.vertices, figure.faces, figure.contact
+    )
+    report: dict[str, Any] = {"body": {"name": figure.name, "out_of_contact_percent": round(100.0 * out, 1)}}
     refused = False
     if len(names) > 1:
         report |= _check_outfit(names, figure, body, triangles)
@@ -78,7 +88,7 @@ def check(
         refused = (report["garment"] if fix is None else report["garment"]["remaining"])["refused"]
     if motion is not None:
         report["motion"] = _check_motion(motion, figure, crop)
-    write_json(report, json)
+    write_json(with_notes(report), json)
     if json != "-":
         _print(report, fix, body)
     if refused and fix is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextvars import ContextVar
 from copy import copy
 from difflib import get_close_matches
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple,
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from pb4u.errors import InputError
+from pb4u.errors import InputError, noted
 from pb4u.export.registry import is_same_file, would_overwrite, written_files
 from pb4u.io.atomic_file import check_writable, json_text, replace_file
 from pb4u.io.companions import with_companions
@@ -115,6 +116,10 @@ class Verbs(_Switches, TyperGroup):
         return super().resolve_command(ctx, args)
 
 
+_TOLD: ContextVar[Sequence[str]] = ContextVar("told", default=())
+"""What the verb that runs has warned of."""
+
+
 def verb(**groups: Mapping[str, Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Makes a verb of a function: the text of an argument in its docstring is the help of its flag.
 
@@ -135,7 +140,12 @@ def verb(**groups: Mapping[str, Any]) -> Callable[[Callable[..., None]], Callabl
 
         def call(**given: Any) -> None:
             gathered = {argument: {name: given.pop(name) for name in flags} for argument, flags in groups.items()}
-            command(**gathered, **given)
+            with noted() as told:
+                token = _TOLD.set(told)
+                try:
+                    command(**gathered, **given)
+                finally:
+                    _TOLD.reset(token)
 
         call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         call.__annotations__ = {each.name: each.annotation for each in parameters}
@@ -173,9 +183,18 @@ def tell(payload: Mapping[str, Any], target: str | None, sentence: str) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    write_json(payload, target)
+    write_json(with_notes(payload), target)
     if target != "-":
         print(sentence)
+
+
+def with_notes(payload: Mapping[str, Any]) -> dict[str, Any]:
+    """A result with all that its verb warned of as its `notes`, where it has none of its own.
+
+    Args:
+        payload: the result.
+    """
+    return {"notes": list(_TOLD.get()), **payload}
 
 
 def write_json(payload: Mapping[str, Any], target: str | None) -> None:

@@ -17,6 +17,7 @@ from pb4u.cli.console import (
     keep_inputs,
     say,
     verb,
+    with_notes,
     write_json,
 )
 from pb4u.errors import InputError
@@ -74,4 +75,4 @@ def dress(
         f"{figure.name} in {seconds:.1f} s; {report['crossings']} crossings, {1000 * report['depth']:.1f} mm in the "
         f"body at most. Wrote {', '.join(map(str, out))}."
     )
-    write_json(report, json)
+    write_json(with_notes(report), json)

@@ -14,7 +14,7 @@ from pb4u.cli.outputs import OUTPUT_FLAGS, Outputs
 from pb4u.cli.picture_flags import PICTURE_FLAGS, view_of
 from pb4u.cli.record_flags import given_values
 from pb4u.cli.run_flags import run_flags, run_of
-from pb4u.errors import InputError, Interrupted, Pb4uError, warn
+from pb4u.errors import InputError, Interrupted, Pb4uError, noted, warn
 from pb4u.export.registry import check_bones, check_target, export, is_drawn
 from pb4u.io.atomic_file import check_writable
 from pb4u.progress import announced, progress_bar
@@ -98,17 +98,24 @@ def _default_targets(run: Run) -> list[Path]:
 
 def _simulate(run: Run, asked: Outputs, targets: list[Path], view: View | None) -> None:
     from pb4u.export.live_caches import check_live_folder
-    from pb4u.measures.overstretch import overstretched_sentences
-    from pb4u.scene.trajectory_file import interrupted_path
-    from pb4u.simulation.models import simulator_of
-    from pb4u.simulation.run_simulation import scene_for
-    from pb4u.simulation.simulator import RunRecord
 
     check_json_target(asked.json)
     if asked.save_scene is not None:
         check_writable(asked.save_scene, "--save-scene")
     if asked.live is not None:
         check_live_folder(asked.live)
+    with noted() as told:
+        _simulated(run, asked, targets, view, told)
+
+
+def _simulated(run: Run, asked: Outputs, targets: list[Path], view: View | None, told: list[str]) -> None:
+    """Simulate and write; `told` gets what is warned of meanwhile."""
+    from pb4u.measures.overstretch import overstretched_sentences
+    from pb4u.scene.trajectory_file import interrupted_path
+    from pb4u.simulation.models import simulator_of
+    from pb4u.simulation.run_simulation import scene_for
+    from pb4u.simulation.simulator import RunRecord
+
     simulator = simulator_of(run)
     if run.device == "cuda" and simulator.settings().get("device", "cpu") == "cpu":
         warn(f"{simulator.name} always runs on the CPU; --device cuda is for networks.")
@@ -129,7 +136,11 @@ def _simulate(run: Run, asked: Outputs, targets: list[Path], view: View | None) 
 
         with progress_bar("measuring") as progress:
             limbs = watched.over(trajectory)
-            report = run_report(trajectory, simulator, scene, record, progress, bool(asked.measure), against, limbs)
+            # Limbs are told of once, by all frames.
+            notes = [sentence for sentence in told if sentence not in watched.told]
+            report = run_report(
+                trajectory, simulator, scene, record, progress, bool(asked.measure), against, limbs, notes
+            )
         write_json(report, asked.json)
         diverged, through = report["diverged_at"], report.get("limbs_through_cloth")
     elif record.failed_at is None:
@@ -255,6 +266,8 @@ class _LimbWarnings:
         self.watch = LimbWatch(Bones.of(scene, scene.frames, scene.fps), header)
         self.rows: list[np.ndarray] = []
         self.said: dict[str, int] = {}
+        #: What was warned of so far.
+        self.told: list[str] = []
 
     def __call__(self, frame: Frame) -> None:
         known, number = set(self.watch.needs), len(self.rows)
@@ -265,6 +278,7 @@ class _LimbWarnings:
             [bone for bone in self.watch.needs if bone not in known], written, self.said
         ):
             warn(sentence)
+            self.told.append(sentence)
 
     def over(self, trajectory: Trajectory) -> tuple[np.ndarray, LimbWatch]:
         """Which bones are through cloth in the frames of `trajectory`, as `watched` gives it."""

@@ -101,6 +101,7 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
             scene.body and str(scene.body),
             scene.clip,
             scene.body_parts,
+            scene.body_units,
             scene.motion is None,
             scene.fps,
             scene.recorded_fps,
@@ -123,12 +124,18 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
 
 
 def _body_counts(
-    name: str | None, clip: str | None, parts: str | None, alone: bool, fps: float, recorded_fps: float | None
+    name: str | None,
+    clip: str | None,
+    parts: str | None,
+    units: str | None,
+    alone: bool,
+    fps: float,
+    recorded_fps: float | None,
 ) -> tuple[int, int, int | None]:
     """Vertices and faces of a body, and its frames where it moves by itself: a character does without a motion."""
     if name is None:
         return 0, 0, None
-    body, frames = load_body_of(name, clip, parts), None
+    body, frames = load_body_of(name, clip, parts, units), None
     if isinstance(body, Character):
         frames = body.available_frames(fps) if alone and body.clip is not None else None
     elif not isinstance(body, ShapedBody) and body.frame_count > 1:

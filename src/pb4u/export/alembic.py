@@ -1,4 +1,4 @@
-"""Alembic (.abc): garment and body as two polygon meshes sampled at every frame, through the "abc" extra."""
+"""Alembic (.abc): garments and body, each a polygon mesh sampled at every frame, through the "abc" extra."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from pb4u.errors import extra
 from pb4u.export.incomplete_file import incomplete
-from pb4u.export.pieces import pieces
+from pb4u.export.pieces import names_apart, pieces
 from pb4u.export.shading import unit_normals
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.author_mesh import Polygons
@@ -38,6 +38,8 @@ def check_alembic(path: Path) -> None:
 def write_alembic(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:
     """Write one Ogawa archive: /Garment and /Body; metres, Y up, a sample each 1 / fps seconds from 0.
 
+    Each garment and the body is a transform that is the identity, with one mesh below it: /Garment/GarmentShape. Maya
+    shows no mesh that lies at the top, and takes a transform with several for one object.
     Points and vertex normals are sampled at every frame; the author's polygons stay polygons, wound clockwise as
     Alembic has them; UVs are face-varying, one a corner.
 
@@ -75,7 +77,7 @@ def _write_quietly(trajectory: Trajectory, path: Path) -> None:
 
 
 def _write(trajectory: Trajectory, path: Path) -> None:
-    from alembic3d import Abc, AbcCoreAbstract, AbcGeom
+    from alembic3d import Abc, AbcCoreAbstract
 
     header, fps = trajectory.header, float(trajectory.fps)
     archive = Abc.CreateArchiveWithInfo(str(path), fps, "pb4u", "metres, Y up")
@@ -83,13 +85,13 @@ def _write(trajectory: Trajectory, path: Path) -> None:
     sampling = archive.addTimeSampling(AbcCoreAbstract.TimeSampling(1.0 / fps, 0.0))
     top = archive.getTop()
     worn = pieces(header)
-    place = top if len(worn) == 1 else AbcGeom.OXform(top, "Garment")
+    body_name, *names = names_apart(["Body", *(piece.name.replace("/", " ") for piece in worn)], " ")
     garments = []
-    for piece in worn:
+    for name, piece in zip(names, worn, strict=True):
         own = piece.header
-        garments.append((piece.vertices, _Mesh(place, piece.name, own.outlines, own.faces, own.uvs, sampling)))
+        garments.append((piece.vertices, _Mesh(top, name, own.outlines, own.faces, own.uvs, sampling)))
     skin = Polygons.of_triangles(header.body_faces, None)
-    body = _Mesh(top, "Body", skin, header.body_faces, None, sampling)
+    body = _Mesh(top, body_name, skin, header.body_faces, None, sampling)
     for positions, body_positions in zip(trajectory.positions, trajectory.body_positions, strict=True):
         for vertices, garment in garments:
             garment.sample(positions[vertices])
@@ -97,11 +99,11 @@ def _write(trajectory: Trajectory, path: Path) -> None:
 
 
 class _Mesh:
-    """A mesh of the archive, written sample by sample.
+    """A mesh of the archive under a transform of its own, written sample by sample.
 
     Args:
-        parent: object that it hangs from.
-        name: of the mesh.
+        parent: object that the transform hangs from.
+        name: of the transform; that of the mesh has "Shape" after it.
         outlines: polygons, counter-clockwise.
         faces: (faces, 3) triangles that normals come from.
         uvs: (uv points, 2) that `outlines.uv_corners` names, or None.
@@ -115,7 +117,9 @@ class _Mesh:
         from alembic3d import AbcGeom
 
         self._faces = faces
-        self._mesh = AbcGeom.OPolyMesh(parent, name)
+        self._transform = AbcGeom.OXform(parent, name)
+        self._transform.getSchema().set(AbcGeom.XformSample())
+        self._mesh = AbcGeom.OPolyMesh(self._transform, f"{name}Shape")
         self._schema = self._mesh.getSchema()
         self._schema.setTimeSampling(sampling)
         ends = np.cumsum(outlines.sizes)

@@ -13,6 +13,7 @@ from pb4u.errors import Pb4uError
 from pb4u.export.camera import FIELD_OF_VIEW, Camera
 from pb4u.export.drawn_cloth import DrawnCloth
 from pb4u.export.finite_frames import held_frames
+from pb4u.export.offscreen import choose_opengl
 from pb4u.export.sewing_lines import ABOVE, SewingLines, sewn_parts
 from pb4u.export.shading import LIGHTS, SKIN, ClothPart, Colour
 from pb4u.export.threads import SIDE, THREADS, thread_image, uvs_in_metres
@@ -296,6 +297,7 @@ def render(trajectory: Trajectory, frames: Sequence[int], view: View | None = No
 
 
 def _open_renderer(trajectory: Trajectory, view: View, frames: Sequence[int]) -> StillRenderer:
+    choose_opengl()
     try:
         from vtkmodules.vtkCommonCore import vtkLogger
 

@@ -12,12 +12,14 @@ from scipy.spatial import cKDTree
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.built_in import BUILT_IN
+from pb4u.body.length_units import extent_of, garment_unit
 from pb4u.body.library import load_body
 from pb4u.errors import InputError, warn
+from pb4u.garment.body_pieces import body_faces
 from pb4u.garment.findings import (
-    WORST_MISFIT,
     Finding,
     Severity,
+    body_findings,
     coarse_findings,
     contact_findings,
     crossing_findings,
@@ -27,10 +29,11 @@ from pb4u.garment.findings import (
     placement_findings,
     support_findings,
     surface_findings,
+    turned_findings,
 )
-from pb4u.garment.fit import Fit, RestBody, find_fit
+from pb4u.garment.fit import SURELY_WORN, Fit, RestBody, find_fit
 from pb4u.garment.garment import Garment
-from pb4u.garment.garment_file import fix_command, likely_unit
+from pb4u.garment.garment_file import fix_command
 from pb4u.garment.limbs_inside import limbs_outside
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.garment.support import Support, find_support
@@ -42,7 +45,7 @@ from pb4u.geometry.triangle_mesh import edge_lengths
 # have over 0.8 on a body that they were not made for.
 _BADLY, _BETTER = 0.025, 0.75
 # Findings after which nothing is said of what holds the garment up, of limbs, and of how coarse it is.
-_NOT_WORN = ("far", "inside", "unsure")
+_NOT_WORN = ("far", "inside", "unsure", "body")
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +123,7 @@ def diagnose(
         rest = RestBody.of(body)
         fit = find_fit(vertices, rest)
         mend = fix_command(file, rest.name if body_file is None else body_file, getattr(body, "own_shape", None))
+        findings += body_findings(surface, rest)
         findings += placement_findings(vertices, fit, rest, mend)
         findings += crossing_findings(surface, fit.apply(garment.vertices), measures)
         findings += contact_findings(surface, fit, rest, measures, mend)
@@ -134,7 +138,7 @@ def diagnose(
             findings += coarse_findings(*where, rest)
         if is_file and isinstance(body, ShapedBody):
             findings += _better_body(garment.vertices, surface.faces, body, fit)
-    elif len(vertices) and (unit := likely_unit(vertices)):
+    elif len(vertices) and (unit := garment_unit(extent_of(vertices))):
         findings.append(Finding("units", Severity.REFUSED, f"The garment {unit}.", "scale it to metres"))
     elif len(vertices):
         findings += crossing_findings(surface, garment.vertices, measures)
@@ -179,11 +183,12 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
     misfit = float(rest.misfit(garment.vertices))
     mend = fix_command(file, rest.name, getattr(body, "own_shape", None))
     findings = []
-    if misfit > 0.6 * WORST_MISFIT:  # well under it there is nothing to look for
+    if misfit > SURELY_WORN:
         findings = placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
     placed = not findings  # elsewhere, depth and support are those of the wrong place
     if placed and rest.is_closed:  # of one that is not, who loaded it was warned
         findings += penetration_findings(rest.signed_distances(garment.vertices), rest, mend)
+        findings += turned_findings(garment.vertices, garment.faces, rest, mend)
     if placed and support is not None:
         source = garment.source
         names = None if source is None else cKDTree(source.source.vertices).query(garment.vertices)[1]
@@ -191,17 +196,46 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
     _tell(garment, findings)
 
 
-def require_metres(garment: Garment) -> None:
+def require_metres(
+    garment: Garment, body: ShapedBody | AnimatedBody | None = None, file: str | Path | None = None
+) -> None:
     """Refuse a garment whose extent is that of no garment in metres.
 
     Args:
         garment: as it was given.
+        body: who should wear it, whose size says the unit; None where there is none.
+        file: where the garment was read from, named in the cures; None for arrays.
 
     Raises:
         InputError: it is in other units.
     """
-    if unit := likely_unit(garment.vertices):
+    unit = garment_unit(extent_of(garment.vertices))
+    if unit is None:
+        return
+    if file is None:
         raise InputError(f"garment {garment.name} {unit}; give its vertices in metres.")
+    if body is not None:
+        rest = RestBody.of(body)
+        mend = fix_command(file, rest.name, getattr(body, "own_shape", None))
+        found = placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
+        _tell(garment, [finding for finding in found if finding.severity is Severity.REFUSED])
+    raise InputError(f"{file} {unit}; scale it to metres with {fix_command(file)}.")
+
+
+def require_clothes(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
+    """Refuse a body in the place of a garment, or among it.
+
+    Args:
+        garment: as it was read.
+        body: who should wear it.
+
+    Raises:
+        InputError: a part of it is a body.
+    """
+    rest = RestBody.of(body)
+    if body_faces(garment.vertices, garment.faces, rest).any():
+        own = PolygonMesh(garment.vertices, tuple(garment.faces)) if garment.source is None else garment.source.source
+        _tell(garment, body_findings(SourceSurface.of(own), rest))
 
 
 def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:

@@ -9,24 +9,21 @@ import numpy as np
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.joint_names import plain_names
+from pb4u.body.length_units import UNITS
 from pb4u.collision.crossings import self_crossings
+from pb4u.garment.body_pieces import body_faces, named
 from pb4u.garment.coarseness import Coarseness
-from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, is_inside_out
+from pb4u.garment.fit import AXES, UPRIGHT, WHOLLY_INSIDE, WORST_MISFIT, Fit, RestBody, is_inside_out
 from pb4u.garment.garment_file import MOST_SIMULATED
-from pb4u.garment.source_surface import Fault, SourceSurface, first_of, surface_faults
+from pb4u.garment.source_surface import SourceSurface
 from pb4u.garment.support import Support, slide
+from pb4u.garment.surface_faults import Fault, first_of, surface_faults
 from pb4u.garment.tangles import tangles
 from pb4u.garment.untangling import untangle
-from pb4u.geometry.triangle_mesh import edge_lengths
+from pb4u.geometry.topology import Topology
 
-# Mean distance to the body [m] above which a garment that would fit elsewhere is not taken to be worn.
-WORST_MISFIT = 0.08
 # A garment whose nearest point is farther from the body than this [m] does not touch it.
 _FAR = 0.05
-# Deviation of edge lengths, of their mean, above which they count as graded; built-in garments have about a tenth.
-_GRADED = 0.35
-# Share of faces with another layer behind them above which the cloth is reported as double: a hem or a pocket has less.
-_DOUBLE = 0.2
 
 
 class Severity(str, Enum):
@@ -72,18 +69,6 @@ def surface_findings(surface: SourceSurface) -> list[Finding]:
     if len(surface.faces) > MOST_SIMULATED:
         sentence = f"The garment has {len(surface.faces):,} triangles, {MOST_SIMULATED:,} can be simulated."
         findings.append(Finding("too-many", Severity.REFUSED, sentence, "simulate it with `--triangles N`"))
-    if len(surface.faces):
-        share = surface.double.mean()
-        if share > _DOUBLE:
-            polygons = surface.polygon[surface.kept[surface.double]]
-            sentence = f"{100 * share:.0f}% of the cloth lies double, back to back, first faces {first_of(polygons)}."
-            fault = Fault("double-layer", sentence, "keep the outer layer only", faces=polygons)
-            findings.append(_finding(surface, fault))
-        lengths = edge_lengths(surface.source.vertices, surface.topology.edges)
-        if lengths.std() > _GRADED * lengths.mean():
-            sentence = f"Edge lengths vary by {lengths.std() / lengths.mean():.2f} of their mean, more than {_GRADED}."
-            fix = f"simulate it evenly meshed with `--triangles {len(surface.faces)}`"
-            findings.append(Finding("graded", Severity.WARNING, sentence, fix))
     return findings
 
 
@@ -200,6 +185,27 @@ def far_finding(vertices: np.ndarray, body: RestBody) -> list[Finding]:
     return [Finding("far", Severity.REFUSED, sentence, "place it on the body where it was made")]
 
 
+def body_findings(surface: SourceSurface, body: RestBody) -> list[Finding]:
+    """A body in the place of a garment, or among it.
+
+    Args:
+        surface: of the garment as its author made it.
+        body: the resting body.
+    """
+    found = body_faces(surface.source.vertices, surface.faces, body)
+    if not found.any():
+        return []
+    polygons = np.unique(surface.polygon[surface.kept[found]])
+    name = named(surface.source, polygons)
+    told = f"Its object {name}" if name else "The garment" if found.all() else f"A piece of {len(polygons):,} faces"
+    sentence = f'{told} is a body, no garment: it reaches from head to foot of "{body.name}", on its skin or closed.'
+    fix = "give it as --body" if found.all() else "delete it where the garment was made, and export the clothes alone"
+    where = tuple(polygons[:20].tolist())
+    return [
+        Finding("body", Severity.REFUSED, sentence, fix, where=where, vertices=_indices(_corners(surface, polygons)))
+    ]
+
+
 def support_findings(
     vertices: np.ndarray, faces: np.ndarray, body: RestBody, support: Support, names: np.ndarray | None = None
 ) -> list[Finding]:
@@ -219,6 +225,9 @@ def support_findings(
         fix = "none is needed: `pb4u simulate` lets it follow the body, and `--pins none` lets it go"
         return [Finding("unsupported", Severity.NOTE, sentence, fix)]
     why, fix = "none of it lies on the shoulders", "simulate it with `--pins waist`"
+    topology = Topology(faces, len(vertices))
+    if len(np.unique(topology.piece_of_vertex[faces[:, 0]])) > 1:
+        why, fix = "its pieces are not joined, and none of it lies on the shoulders", "join its pieces first"
     straps = support.loose
     names = np.arange(len(vertices)) if names is None else names
     tacks = tuple((int(names[a]), int(names[b])) for strap in straps for a, b in strap.tacks)
@@ -255,12 +264,24 @@ def contact_findings(
     closed = body.is_closed
     measures["penetration_percent"] = 100.0 * float((distances < 0.0).mean()) if closed else None
     measures["penetration_depth_max"] = max(0.0, -float(distances.min())) if closed else None
+    return findings if surface.flipped[0].any() else findings + turned_findings(moved, surface.faces, body, mend)
+
+
+def turned_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody, mend: str) -> list[Finding]:
+    """A garment inside out.
+
+    Args:
+        vertices: (vertices, 3) of the garment where it is worn [m].
+        faces: (faces, 3) int64, neighbours turned alike.
+        body: the resting body.
+        mend: command that mends it.
+    """
     # Seen from within the body every garment looks away from its skin.
-    within = closed and (distances < 0.0).mean() > 0.5
-    if not within and not surface.flipped[0].any() and is_inside_out(moved, surface.faces, body):
-        sentence = "All faces look inwards, at the body."
-        findings.append(Finding("inside-out", Severity.WARNING, sentence, f"turn them with {mend}", True))
-    return findings
+    within = body.is_closed and (body.signed_distances(vertices[np.unique(faces)]) < 0.0).mean() > 0.5
+    if within or not is_inside_out(vertices, faces, body):
+        return []
+    sentence = "All faces look inwards, at the body."
+    return [Finding("inside-out", Severity.WARNING, sentence, f"turn them with {mend}", True)]
 
 
 def crossing_findings(surface: SourceSurface, vertices: np.ndarray, measures: dict[str, float | None]) -> list[Finding]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
+from pb4u.body.length_units import UNITS
 from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import area_weighted_normals, face_cross_products
@@ -17,6 +19,9 @@ from pb4u.geometry.triangle_mesh import area_weighted_normals, face_cross_produc
 # Vertices of a garment that are looked at to place it, and every how many of them for a first look: thousands of
 # placements are compared, and the time grows with both.
 _SAMPLES, _COARSE = 400, 4
+WORST_MISFIT, SURELY_WORN = 0.08, 0.048
+"""Mean distance to the body [m] above which a garment that would fit elsewhere is not taken to be worn, and up to which
+one that may belong anywhere is."""
 # Step [m] of the first look at heights, less than the width of a dip in the misfit, and times that a garment is drawn
 # towards the body from each.
 _SHIFT_STEP, _DRAWN = 0.06, 4
@@ -37,11 +42,17 @@ WHOLLY_INSIDE = 0.95
 """Share of vertices inside the body from which a garment counts as inside it."""
 # A garment made around the body model's own origin reaches at least so far [m] below the ground, if it is long.
 _BELOW_GROUND = 0.1
+# Share of the wearer's height that a garment spans: any, any in a unit that is rare, and most; and how many times its
+# misfit one has beyond that, and one in a unit that is rare. A garment at a third of its size fits as well, around an
+# arm.
+_SPANS, _RARE_SPANS, _USUAL_SPANS = (0.08, 1.5), (0.2, 1.5), (0.3, 1.05)
+_RARE, _ODD, _ODD_UNIT = ("inches", "decimetres", "feet"), 1.5, 1.2
+# Share of the misfit that a garment where its file places it, in one of the units, has of that in any other.
+_IN_PLACE = 0.9
 # Heights [m] that differ by less are one place on the body.
 _SAME_HEIGHT = 0.05
 _UP = np.array([0.0, 1.0, 0.0])
 
-UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
 UPRIGHT = "Y up, facing +Z"
 
 
@@ -215,9 +226,11 @@ class Fit:
 def find_fit(vertices: np.ndarray, body: RestBody) -> Fit:
     """The transform under which a garment, in whatever unit, axes and place, fits the body best.
 
-    Units, quarter turns about the vertical and shifts in all three directions are compared. What needs less change wins
-    among those that fit about as well: first as it is, then by the body model's own origin where it reaches below the
-    ground or fits best there, then any place. A garment that lies wholly inside the body is not looked for elsewhere.
+    Units, quarter turns about the vertical and shifts in all three directions are compared. The unit comes first: one
+    in which the garment is worn where it is, else one in which it fits best and has a usual size. What needs less
+    change wins among those that fit about as well: first as it is, then by the body model's own origin where it reaches
+    below the ground or fits best there, then any place. A garment that lies wholly inside the body is not looked for
+    elsewhere.
 
     Args:
         vertices: (vertices, 3) of the garment, in its own unit and axes [file units].
@@ -232,9 +245,14 @@ def find_fit(vertices: np.ndarray, body: RestBody) -> Fit:
     posed = {
         (unit, axes): scale * sample @ rotation.T
         for unit, scale in UNITS.items()
-        if 0.08 * height < scale * span < 1.5 * height
+        for least, most in [_RARE_SPANS if unit in _RARE else _SPANS]
+        if least * height < scale * span < most * height
         for axes, rotation in AXES.items()
     }
+    odds = {unit: _odds(unit, scale * span / height) for unit, scale in UNITS.items()}
+    usual = {key: points for key, points in posed.items() if odds[key[0]] < _ODD}
+    if (in_place := _unit_in_place(usual, body)) is not None:
+        posed = {key: points for key, points in posed.items() if key[0] == in_place}
     starts = [(key, *start) for key, points in posed.items() for start in _starts(points, body)]
     if not starts:
         return Fit.identity(body.misfit(sample, _NEAR))
@@ -249,6 +267,7 @@ def find_fit(vertices: np.ndarray, body: RestBody) -> Fit:
         fits += [
             Fit(*key, shift, float(body.misfit(points + shift, _NEAR))) for shift in _given(points, fits, key, body)
         ]
+    fits = _of_likeliest_unit(fits, odds)
     best = min(fit.misfit for fit in fits)
     chosen = _compared(min((f for f in fits if f.misfit <= _CLEARLY * best + _LOOSELY), key=_change), fits)
     if chosen.is_unsure:
@@ -257,7 +276,39 @@ def find_fit(vertices: np.ndarray, body: RestBody) -> Fit:
         limit = min(_WIDE * best + 3 * _LOOSELY, 0.95 * _NEAR)
         loosely = [f for f in fits if not f.searched and f.shift.any() and f.misfit <= limit]
         chosen = _compared(min(loosely, key=_change), fits) if loosely else chosen
+    if chosen.is_unsure and float(body.misfit(sample)) <= SURELY_WORN:
+        return Fit.identity(body.misfit(sample, _NEAR))
     return chosen
+
+
+def _odds(unit: str, span: float) -> float:
+    """How many times its misfit a garment has in a unit in which it spans so many heights of its wearer."""
+    least, most = _USUAL_SPANS
+    return (1.0 if least <= span <= most else _ODD) * (_ODD_UNIT if unit in _RARE else 1.0)
+
+
+def _unit_in_place(posed: Mapping[tuple[str, str], np.ndarray], body: RestBody) -> str | None:
+    """The unit in which a garment is worn where its file places it; None where there is none, or more than one.
+
+    What would be small near the origin is as near to the feet as clothes are to what they cover.
+    """
+    misfits, shifts = dict[str, float](), np.array([0.0, body.lift])[:, None, None] * _UP
+    for (unit, _), points in posed.items():
+        best = float(body.misfit(points + shifts, _NEAR).min())
+        misfits[unit] = min(best, misfits.get(unit, np.inf))
+    first, *others = sorted(misfits, key=misfits.__getitem__) or [""]
+    if not first or misfits[first] > 0.9 * _NEAR:
+        return None
+    return first if all(misfits[first] < _IN_PLACE * misfits[other] for other in others) else None
+
+
+def _of_likeliest_unit(fits: list[Fit], odds: Mapping[str, float]) -> list[Fit]:
+    """The fits in the likeliest unit in which a garment fits about as well as in any."""
+    misfits = [odds[fit.unit] * fit.misfit for fit in fits]
+    limit = _CLEARLY * min(misfits) + _LOOSELY
+    units = [fit.unit for fit, misfit in zip(fits, misfits, strict=True) if misfit <= limit]
+    unit = min(units, key=list(UNITS).index)
+    return [fit for fit in fits if fit.unit == unit]
 
 
 def _compared(chosen: Fit, fits: list[Fit]) -> Fit:

@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 
 from pb4u.body.built_in import DEFAULT_BODY
+from pb4u.body.length_units import extent_of, garment_unit
 from pb4u.body.library import body_names
 from pb4u.errors import InputError, unread_kind, warn
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.source_map import map_to_same, remeshed
-from pb4u.garment.source_surface import SourceSurface, surface_faults
+from pb4u.garment.source_surface import SourceSurface
+from pb4u.garment.surface_faults import Fault, surface_faults
 from pb4u.geometry.mesh_file import MOST_READ, READERS, PolygonMesh, read_mesh
 
 MOST_SIMULATED = 1_000_000
 """Triangles that a garment may have as it is simulated, which bounds time and memory; more are refused."""
-# Extent [m] between which a garment's file may be in metres: a sock for a doll, a train of a wedding dress.
-_SMALLEST, _LARGEST = 0.05, 5.0
 
 
 def read_garment(
@@ -40,12 +40,15 @@ def read_garment(
     Raises:
         InputError: the file cannot be used as it is; says how to mend it.
     """
-    garment = remeshed(authors_garment(path, material, MOST_SIMULATED if triangles is None else MOST_READ), triangles)
+    garment = authors_garment(path, material, MOST_SIMULATED if triangles is None else MOST_READ)
+    if unit := garment_unit(extent_of(garment.vertices)):
+        raise InputError(f"{path} {unit}; scale it to metres with {fix_command(path)}.")
+    garment = remeshed(garment, triangles)
     return garment if pins is None else garment.with_pins(resolve_pins(pins, garment))
 
 
 def authors_garment(path: str | Path, material: Material, most_triangles: int = MOST_SIMULATED) -> Garment:
-    """The garment in a mesh file with its author's vertices and faces; as `read_garment`.
+    """The garment in a mesh file with its author's vertices and faces, in whatever unit; else as `read_garment`.
 
     Args:
         path: the file.
@@ -123,19 +126,16 @@ def read_source(path: Path, most_triangles: int = MOST_READ) -> PolygonMesh:
     return read_mesh(path, refuse_large)
 
 
+def _cure(fault: Fault, path: Path) -> str:
+    return f"{fault.fix} with {fix_command(path)}" if fault.mendable else fault.fix
+
+
 def _report_faults(path: Path, surface: SourceSurface) -> None:
     faults = surface_faults(surface)
-    if len(surface.faces) and (unit := likely_unit(surface.source.vertices[np.unique(surface.faces)])):
-        raise InputError(f"{path} {unit}; scale it to metres with {fix_command(path)}.")
     for fault in faults:
         if fault.is_refused:
-            raise InputError(f"{path}: {fault.sentence[:-1]}; {fault.fix}.")
-    sentences = [
-        f"{fault.sentence[:-1]}; {fault.meanwhile or f'{fault.fix} with {fix_command(path)}'}."
-        for fault in faults
-        if fault.mendable
-    ]
-    sentences += [fault.sentence for fault in faults if not fault.mendable]
+            raise InputError(f"{path}: {fault.sentence[:-1]}; {_cure(fault, path)}.")
+    sentences = [f"{fault.sentence[:-1]}; {fault.meanwhile or _cure(fault, path)}." for fault in faults]
     if surface.many_sided:
         cut = "quads or n-gons are cut into triangles to simulate; `pb4u convert --on source` writes them whole"
         sentences.append(f"{surface.many_sided} {cut}.")
@@ -144,18 +144,3 @@ def _report_faults(path: Path, surface: SourceSurface) -> None:
         sentences.append(f"{(~np.isfinite(uvs)).any(axis=1).sum()} texture coordinates are not finite.")
     for sentence in sentences:
         warn(f"{path.name}: {sentence}")
-
-
-def likely_unit(vertices: np.ndarray) -> str | None:
-    """Guess of a file's unit, as a verb phrase; None when its extent can be that of a garment in metres.
-
-    Args:
-        vertices: (vertices, 3) as in the file, taken for [m].
-    """
-    extent = float(np.ptp(vertices, axis=0).max())
-    if _SMALLEST <= extent <= _LARGEST:
-        return None
-    if extent > _LARGEST:
-        unit = "centimetres" if extent <= 250.0 else "millimetres"
-        return f"spans {extent:.0f} m as it is, it seems to be in {unit}"
-    return f"spans {1000 * extent:.3g} mm as it is, too small for a garment in metres"

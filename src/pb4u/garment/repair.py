@@ -9,9 +9,12 @@ import numpy as np
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
+from pb4u.body.length_units import UNITS
 from pb4u.collision.crossings import self_crossings
-from pb4u.garment.fit import UNITS, UPRIGHT, RestBody, find_fit, is_inside_out
+from pb4u.garment.fit import UPRIGHT, RestBody, find_fit, is_inside_out
 from pb4u.garment.source_surface import SourceSurface
+from pb4u.garment.surface_faults import is_double
+from pb4u.garment.surface_parts import inner_layer, sewn_on
 from pb4u.garment.untangling import untangle
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology, neighbour_mean
@@ -54,6 +57,7 @@ def repair(source: PolygonMesh, body: ShapedBody | AnimatedBody | None = None) -
     rest = None if body is None else RestBody.of(body)
     if rest is not None:
         source = _moved(source, rest, said, left)
+    source = _without_parts(source, rest, said, left)
     source = _welded(source, said, left)
     source = _without_waste(source, said)
     source = _oriented(source, rest, said)
@@ -79,6 +83,42 @@ def _moved(source: PolygonMesh, body: RestBody, said: list[str], left: list[str]
     if fit.front_alike:
         left.append(f"Front and back fit alike: {fit.axes} was taken, {fit.front_alike[0]} is as likely.")
     return replace(source, vertices=fit.apply(source.vertices))
+
+
+def _without_parts(source: PolygonMesh, body: RestBody | None, said: list[str], left: list[str]) -> PolygonMesh:
+    """Drops what is sewn on where two faces meet already, and the inner layer of a double cloth."""
+    surface = SourceSurface.of(source)
+    on = sewn_on(surface)
+    if on.any():
+        source, count = _without(source, surface, on)
+        said.append(f"Took off {count} faces that were sewn on, as a pocket or a flap is.")
+        surface = SourceSurface.of(source)
+    if not is_double(surface):
+        return source
+    heights = None if body is None or not body.is_closed else body.signed_distances(source.vertices)
+    inner = inner_layer(surface, heights)
+    single, count = _without(source, surface, inner)
+    if not inner.any() or is_double(SourceSurface.of(single)):
+        left.append("Its cloth stays double: no inner layer could be told from an outer one.")
+        return source
+    said.append(f"Kept the outer layer of its cloth, and dropped {count} faces.")
+    return single
+
+
+def _without(source: PolygonMesh, surface: SourceSurface, faces: np.ndarray) -> tuple[PolygonMesh, int]:
+    """The mesh without the polygons of some kept triangles (faces,) bool and the vertices of these alone; how many."""
+    gone = np.unique(surface.polygon[surface.kept[faces]])
+    keep = np.setdiff1d(np.arange(len(source.polygons)), gone)
+    polygons = [source.polygons[k] for k in keep.tolist()]
+    lost = np.setdiff1d(np.concatenate(source.polygons), np.concatenate(polygons))
+    used = np.setdiff1d(np.arange(len(source.vertices)), lost)
+    return PolygonMesh(
+        source.vertices[used],
+        tuple(np.searchsorted(used, polygon) for polygon in polygons),
+        source.uvs,
+        None if source.polygon_uvs is None else tuple(source.polygon_uvs[k] for k in keep.tolist()),
+        None if source.appearances is None else source.appearances.at(keep),
+    ), len(gone)
 
 
 def _welded(source: PolygonMesh, said: list[str], left: list[str]) -> PolygonMesh:

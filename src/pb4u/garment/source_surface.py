@@ -1,10 +1,9 @@
-"""The triangles of an author's mesh, and what about them a simulation cannot use."""
+"""The triangles of an author's mesh, and which of them a simulation cannot use."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -143,6 +142,23 @@ class SourceSurface:
         """Number of polygons with more than three corners."""
         return sum(len(p) > 3 for p in self.source.polygons)
 
+    @property
+    def unsewn(self) -> np.ndarray:
+        """Ends (lines, 2) int64 of the lines of the file that are no edge of a face: threads of a seam to be sewn."""
+        lines = self.source.lines
+        if lines is None or not len(lines):
+            return np.zeros((0, 2), dtype=np.int64)
+        keys = np.sort(lines, axis=1) @ np.array([len(self.source.vertices), 1])
+        return lines[~np.isin(keys, self.topology.edge_keys) & (lines[:, 0] != lines[:, 1])]
+
+    @property
+    def untextured(self) -> np.ndarray:
+        """Indices (n,) int64 of polygons at one point of the UVs, where others have UVs."""
+        if self.source.uvs is None or self.source.polygon_uvs is None:
+            return np.zeros(0, dtype=np.int64)
+        uvs = self.source.uvs
+        return np.flatnonzero([not np.ptp(uvs[corners], axis=0).any() for corners in self.source.polygon_uvs])
+
     @cached_property
     def extra_faces(self) -> np.ndarray:
         """Indices (n,) int64 of polygons to delete so that no edge has more than two faces.
@@ -164,9 +180,14 @@ class SourceSurface:
             extra += there[np.argsort(-part_size[there], kind="stable")][2:].tolist()
         return np.unique(self.polygon[self.kept[extra]]) if extra else np.zeros(0, dtype=np.int64)
 
-    @cached_property
+    @property
     def double(self) -> np.ndarray:
         """Mask (faces,) bool of faces close to another layer that looks the other way: lining, or back of a shell."""
+        return self.opposite >= 0
+
+    @cached_property
+    def opposite(self) -> np.ndarray:
+        """Face (faces,) int64 of the other layer across each face, the nearest one; -1 where the cloth lies single."""
         corners = self.source.vertices[self.faces]
         centres = corners.mean(axis=1)
         normals = face_cross_products(self.source.vertices, self.faces)
@@ -177,81 +198,8 @@ class SourceSurface:
         height = np.einsum("fkd,fd->fk", offset, normals)
         across = np.linalg.norm(offset - height[..., None] * normals[:, None], axis=2)
         opposed = np.einsum("fkd,fd->fk", normals[near], normals) < -0.8
-        double: np.ndarray = (opposed & (np.abs(height) < _LAYER_GAP) & (across < size[:, None])).any(axis=1)
-        return double
-
-
-class Fault(NamedTuple):
-    """Something about a mesh that a simulation cannot use, or that its author may not have meant.
-
-    Args:
-        code: short fixed name.
-        sentence: what and where.
-        fix: how to mend it.
-        meanwhile: what is done about it when the mesh is simulated as it is.
-        mendable: whether `repair` mends it.
-        faces: indices of the author's polygons concerned.
-        vertices: indices of the author's vertices concerned.
-        is_refused: whether it cannot be simulated.
-    """
-
-    code: str
-    sentence: str
-    fix: str
-    meanwhile: str = ""
-    mendable: bool = False
-    faces: np.ndarray | None = None
-    vertices: np.ndarray | None = None
-    is_refused: bool = False
-
-
-def surface_faults(surface: SourceSurface) -> list[Fault]:
-    """Faults of a mesh on its own.
-
-    Args:
-        surface: the mesh.
-    """
-    topology, first = surface.topology, first_of
-    if not len(surface.faces):
-        sentence = f"None of its {len(surface.all_faces)} faces has an area."
-        return [Fault("no-area", sentence, "export the garment again", is_refused=True)]
-    faults = []
-    if len(edges := topology.non_manifold_edges):
-        extra = surface.extra_faces
-        sentence = f"{len(edges)} edge(s) are shared by three or more faces, first {first(edges)} (pairs of vertices)."
-        fix = f"delete the faces {first(extra)}"
-        faults.append(Fault("non-manifold", sentence, fix, "", False, extra, edges, is_refused=True))
-    if len(collapsed := surface.polygon[surface.collapsed & ~surface.repeated]):
-        sentence = f"{len(collapsed)} triangle(s) have no area, first {first(collapsed)}."
-        faults.append(Fault("degenerate", sentence, "drop them", "they are left out", True, collapsed))
-    if len(repeated := surface.polygon[surface.repeated]):
-        sentence = f"{len(repeated)} face(s) are there twice, first {first(repeated)}."
-        faults.append(Fault("duplicate", sentence, "drop them", "they are left out", True, repeated))
-    if len(isolated := topology.isolated_vertices):
-        sentence = f"{len(isolated)} vertices belong to no face, first {first(isolated)}."
-        meanwhile = "they are not simulated, and follow the nearest cloth in exports"
-        faults.append(Fault("isolated", sentence, "drop them", meanwhile, True, vertices=isolated))
-    if len(loose := surface.unwelded):
-        sentence = f"{len(loose)} border vertices lie on top of others, first {first(loose)}: a seam that will open."
-        faults.append(Fault("unwelded", sentence, "weld them", "", True, vertices=loose))
-    if surface.piece_count > 1:
-        sentence = f"The garment is in {surface.piece_count} pieces that nothing holds together."
-        fix = "weld the seams between them" if len(loose) else "join them where they were made, or delete all but one"
-        faults.append(Fault("pieces", sentence, fix, mendable=bool(len(loose))))
-    if len(turned := surface.turned_over):
-        sentence = f"{len(turned)} face(s) are turned over against their neighbours, first {first(turned)}."
-        faults.append(Fault("orientation", sentence, "turn them", "they are simulated turned", True, turned))
-    if not surface.flipped[1]:
-        sentence = "The cloth has only one side, like a Moebius strip."
-        faults.append(Fault("one-sided", sentence, "cut it open where it is twisted"))
-    return faults
-
-
-def first_of(ids: np.ndarray) -> str:
-    """The first of some indices (n,), or of pairs of them (n, 2), as text.
-
-    Args:
-        ids: (n,) or (n, 2) int64.
-    """
-    rows = np.asarray(ids)[:5].tolist()
-    return ", ".join("-".join(map(str, row)) if isinstance(row, list) else str(row) for row in rows)
+        across[~(opposed & (np.abs(height) < _LAYER_GAP) & (across < size[:, None]))] = np.inf
+        best = across.argmin(axis=1)
+        rows = np.arange(len(centres))
+        found: np.ndarray = np.where(np.isfinite(across[rows, best]), near[rows, best], -1)
+        return found

@@ -1,19 +1,18 @@
-"""Meshes of glTF files: triangles of the nodes of a scene, with their UVs, colours and images.
+"""Meshes of glTF files: triangles of the nodes of a scene, skinned as it stands, with UVs, colours and images.
 
 Source: Khronos, glTF 2.0 specification, 3.5 (scenes), 3.7 (meshes) and 3.9 (materials).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from pb4u.errors import InputError, warn
+from pb4u.errors import InputError, InputNote, warn
 from pb4u.geometry.appearance import Appearance, Appearances, sound_image
+from pb4u.geometry.gltf_skin import node_order, node_transforms, placed
 from pb4u.geometry.mesh_file import PolygonMesh, named_pieces, no_faces, require_sound, welded
 from pb4u.geometry.topology import joined_indices, offsets
 from pb4u.io.gltf_file import GltfFile, read_gltf
@@ -35,6 +34,8 @@ class _Part(NamedTuple):
 def read_gltf_mesh(path: Path) -> PolygonMesh:
     """The triangles of a glTF file, vertices that were copied at UV seams joined again.
 
+    Morph targets are left out, with a note.
+
     Args:
         path: the .glb or .gltf.
 
@@ -43,12 +44,16 @@ def read_gltf_mesh(path: Path) -> PolygonMesh:
     """
     file = read_gltf(path)
     with refusing(path, "cannot be read as a mesh"):
-        parts = [
-            _part(file, primitive, placed, file.entries("meshes")[mesh].get("name"))
-            for mesh, placed in _placed(file)
-            for primitive in file.entries("meshes")[mesh]["primitives"]
+        still, nodes, meshes = node_transforms(file), file.entries("nodes"), file.entries("meshes")
+        shown = [
+            (node, primitive)
+            for node in _shown(file)
+            for primitive in meshes[nodes[node]["mesh"]]["primitives"]
             if primitive.get("mode", _TRIANGLES) in (_TRIANGLES, _STRIP, _FAN)
         ]
+        parts = [_part(file, primitive, node, still) for node, primitive in shown]
+        if any("targets" in primitive for _, primitive in shown):
+            warn(f"{path.name}: its morph targets are not used; the mesh is read without them.", InputNote)
         if not sum(len(part.faces) for part in parts):
             raise no_faces(path)
         starts = offsets([part.vertices for part in parts])
@@ -59,51 +64,38 @@ def read_gltf_mesh(path: Path) -> PolygonMesh:
         laid_on = any(part.uvs is not None for part in parts)
         looks = _appearances(file, parts, laid_on)
         of_face = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
-        pieces, of_face = named_pieces([part.name for part in parts], of_face)
-    if not laid_on:
-        return PolygonMesh(vertices, tuple(faces), None, None, looks, pieces, of_face)
-    uvs = [np.zeros((len(part.vertices), 2)) if part.uvs is None else part.uvs for part in parts]
-    return PolygonMesh(vertices, tuple(faces), np.concatenate(uvs), tuple(corners), looks, pieces, of_face)
+        pieces = named_pieces([part.name for part in parts], of_face)
+        names = [str(nodes[node].get("name") or meshes[nodes[node]["mesh"]].get("name") or "") for node, _ in shown]
+        objects = tuple(dict.fromkeys(names))
+        object_of = np.array([objects.index(name) for name in names])[of_face]
+    uvs, laid = None, None
+    if laid_on:
+        uvs = np.concatenate([np.zeros((len(part.vertices), 2)) if part.uvs is None else part.uvs for part in parts])
+        laid = tuple(corners)
+    return PolygonMesh(vertices, tuple(faces), uvs, laid, looks, *pieces, objects=objects, object_of=object_of)
 
 
-def _placed(file: GltfFile) -> Iterator[tuple[int, np.ndarray]]:
-    """The meshes of the scene that is shown, each with its transform (4, 4)."""
+def _shown(file: GltfFile) -> list[int]:
+    """The nodes with a mesh of the scene that is shown, parents before children."""
     nodes, scenes = file.entries("nodes"), file.entries("scenes")
-    below = {child for node in nodes for child in node.get("children", ())}
-    roots = [node for node in range(len(nodes)) if node not in below]
-    shown = scenes[file.document.get("scene", 0)].get("nodes", []) if scenes else roots
-    waiting = [(node, np.eye(4)) for node in reversed(shown)]
-    reached = set[int]()
+    roots = np.flatnonzero(node_order(file)[0] < 0).tolist()
+    waiting = list(reversed(scenes[file.document.get("scene", 0)].get("nodes", []) if scenes else roots))
+    shown = list[int]()
     while waiting:
-        node, parent = waiting.pop()
-        if node in reached:
+        node = waiting.pop()
+        if node in shown:
             raise ValueError(f"node {node} has two parents")
-        reached.add(node)
-        own = _transform(nodes[node])
-        if not np.isfinite(own).all():
-            raise ValueError(f"node {node} has no finite place")
-        placed = parent @ own
-        if "mesh" in nodes[node]:
-            yield nodes[node]["mesh"], placed
-        waiting += [(child, placed) for child in reversed(nodes[node].get("children", []))]
+        shown.append(node)
+        waiting += reversed(nodes[node].get("children", []))
+    return [node for node in shown if "mesh" in nodes[node]]
 
 
-def _transform(node: dict[str, Any]) -> np.ndarray:
-    """Transform (4, 4) of a node to its parent."""
-    if "matrix" in node:
-        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
-    transform = np.eye(4)
-    turn = Rotation.from_quat(node.get("rotation", (0.0, 0.0, 0.0, 1.0))).as_matrix()
-    transform[:3, :3] = turn * np.array(node.get("scale", (1.0, 1.0, 1.0)), dtype=np.float64)
-    transform[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
-    return transform
-
-
-def _part(file: GltfFile, primitive: dict[str, Any], placed: np.ndarray, mesh: object) -> _Part:
+def _part(file: GltfFile, primitive: dict[str, Any], node: int, still: np.ndarray) -> _Part:
     attributes, material = primitive["attributes"], primitive.get("material")
+    mesh = file.entries("meshes")[file.entries("nodes")[node]["mesh"]].get("name")
     piece = str((material is not None and file.entries("materials")[material].get("name")) or mesh or "")
     local = file.array(attributes["POSITION"]).astype(np.float64)
-    vertices = local.reshape(len(local), 3) @ placed[:3, :3].T + placed[:3, 3]
+    vertices, mirrored = placed(file, node, attributes, still, local.reshape(len(local), 3))
     row = file.array(primitive["indices"]) if "indices" in primitive else np.arange(len(vertices))
     row = row.reshape(len(row)).astype(np.int64)
     mode = primitive.get("mode", _TRIANGLES)
@@ -113,7 +105,7 @@ def _part(file: GltfFile, primitive: dict[str, Any], placed: np.ndarray, mesh: o
         faces = np.stack([row[:-2] if mode == _STRIP else np.full(len(row[2:]), row[0]), row[1:-1], row[2:]], axis=1)
         if mode == _STRIP:
             faces[1::2] = faces[1::2, [1, 0, 2]]
-    if np.linalg.det(placed[:3, :3]) < 0.0:
+    if mirrored:
         faces = faces[:, ::-1]
     _, texture = _colour_and_texture(file, material)
     moved = texture.get("extensions", {}).get("KHR_texture_transform", {})

@@ -10,6 +10,7 @@ import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,13 +31,15 @@ Lines = list[tuple[int, bytes]]
 class _Content(NamedTuple):
     """Lines of a file; of a face also the vertices and texture coordinates before it.
 
-    Of `usemtl` the faces before it and the name.
+    Of `usemtl`, `o` and `g` the faces before it and the name.
     """
 
     vertices: Lines
     uvs: Lines
     faces: list[tuple[int, bytes, int, int]]
     used: list[tuple[int, str]]
+    lines: list[tuple[int, bytes, int]]
+    named: dict[str, list[tuple[int, str]]]
 
 
 def read_obj(path: Path) -> PolygonMesh:
@@ -68,8 +71,20 @@ def read_obj(path: Path) -> PolygonMesh:
     of_face = np.searchsorted(starts, np.arange(len(ends)), side="right") - 1
     looks = _appearances(path, names, of_face, polygon_uvs is not None)
     polygons = tuple(np.split(corners, ends[:-1]))
-    pieces = named_pieces(names, of_face)
-    return PolygonMesh(vertices, polygons, None if polygon_uvs is None else uvs, polygon_uvs, looks, *pieces)
+    pieces, laid = named_pieces(names, of_face), None if polygon_uvs is None else uvs
+    lines, objects = _lines(content.lines, len(vertices)), _objects(content, len(ends))
+    return PolygonMesh(vertices, polygons, laid, polygon_uvs, looks, *pieces, lines, *objects)
+
+
+def _objects(content: _Content, count: int) -> tuple[tuple[str, ...], np.ndarray | None]:
+    """Names of the objects, or else of the groups, and the number of that of each of `count` faces."""
+    begun = content.named["o"] or content.named["g"]
+    if not begun:
+        return (), None
+    names = list(dict.fromkeys(["", *(name for _, name in begun)]))
+    starts = np.array([0, *(start for start, _ in begun)])
+    numbers = np.array([0, *(names.index(name) for _, name in begun)])
+    return tuple(names), numbers[np.searchsorted(starts, np.arange(count), side="right") - 1]
 
 
 def _appearances(path: Path, used: Sequence[str], of_face: np.ndarray, laid_on: bool) -> Appearances | None:
@@ -126,7 +141,7 @@ def left_out(path: Path, mesh: PolygonMesh) -> list[str]:
 
 def _content(path: Path) -> _Content:
     """Lines of vertices, texture coordinates and faces; continued lines count as one."""
-    found = _Content([], [], [], [])
+    found = _Content([], [], [], [], [], {"o": [], "g": []})
     for number, line in enumerate(joined_lines(path).split(b"\n"), 1):
         line = line.lstrip()
         kind = line[:2]
@@ -135,8 +150,12 @@ def _content(path: Path) -> _Content:
         elif kind in (b"f ", b"f\t"):
             # Negative indices count back from what has been read so far.
             found.faces.append((number, line, len(found.vertices), len(found.uvs)))
+        elif kind in (b"l ", b"l\t"):
+            found.lines.append((number, line, len(found.vertices)))
         elif kind == b"vt":
             found.uvs.append((number, line))
+        elif kind in (b"o ", b"g ", b"o\t", b"g\t"):
+            found.named[kind[:1].decode()].append((len(found.faces), text_of(line[1:].strip())))
         elif line.startswith(b"usemtl"):
             found.used.append((len(found.faces), text_of(line[6:].strip())))
     return found
@@ -193,6 +212,20 @@ def _corners(path: Path, faces: list[tuple[int, bytes, int, int]]) -> tuple[np.n
         return np.array(vertex_index, dtype=np.int64), np.array(uv_index, dtype=np.int64), np.array(ends)
     except OverflowError:
         raise InputError(f"{path}: a face index has 19 digits or more; export it again.") from None
+
+
+def _lines(rows: list[tuple[int, bytes, int]], count: int) -> np.ndarray | None:
+    """Vertices (lines, 2) that polylines join one by one, those alone that can be read; None where there are none."""
+    pairs: list[tuple[int, int]] = []
+    for _, line, before in rows:
+        fields = [token.split(b"/", 1)[0] for token in line.split(b"#", 1)[0].split()[1:]]
+        try:
+            ends = [int(field) for field in fields]
+        except ValueError:
+            continue
+        ends = [end - 1 if end > 0 else end + before for end in ends]
+        pairs += [(a, b) for a, b in pairwise(ends) if 0 <= a < count and 0 <= b < count]
+    return np.array(pairs, dtype=np.int64) if pairs else None
 
 
 def _refuse_out_of_range(

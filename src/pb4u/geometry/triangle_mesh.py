@@ -173,3 +173,14 @@ def nearest_segments(points: np.ndarray, starts: np.ndarray, ends: np.ndarray) -
     distances = np.linalg.norm(way - at[..., None] * along, axis=2)
     best = distances.argmin(axis=1)[:, None]
     return np.take_along_axis(near, best, axis=1)[:, 0], np.take_along_axis(distances, best, axis=1)[:, 0]
+
+
+def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Volume [m^3] within a closed surface, positive where its faces look outwards; of an open one about its middle.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+    """
+    a, b, c = np.moveaxis(vertices[faces] - vertices[faces].mean(axis=(0, 1)), 1, 0)
+    return float(np.einsum("fc,fc->", a, np.cross(b, c))) / 6.0

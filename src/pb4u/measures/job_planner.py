@@ -68,7 +68,8 @@ class JobPlanner:
         self._require_names(run)
         model = self.model(run)
         resolved = run.with_entries({"model": model.name, "device": model.device, **chosen_laws(run)})
-        if run.motion is None and run.body is not None and self._needs_motion(str(run.body), run.clip, run.body_parts):
+        how = run.clip, run.body_parts, run.body_units
+        if run.motion is None and run.body is not None and self._needs_motion(str(run.body), *how):
             # Named, so that its label says what the body performs.
             resolved = replace(resolved, motion=DEFAULT_MOTION)
         contents = [row for value in dict.fromkeys(map(str, filter(None, resolved.files))) for row in self._read(value)]
@@ -101,7 +102,7 @@ class JobPlanner:
             if file.suffix and not file.exists():
                 raise InputError(f"There is no {kind} file {file}.")
             if kind == "body":
-                load_body_of(str(value), run.clip, run.body_parts)
+                load_body_of(str(value), run.clip, run.body_parts, run.body_units)
             elif kind == "material":
                 load_material(value)
             elif not file.suffix and kind in known and str(value) not in known[kind]:
@@ -117,9 +118,9 @@ class JobPlanner:
         return self._contents[value]
 
 
-def _needs_motion(body: str, clip: str | None, body_parts: str | None) -> bool:
+def _needs_motion(body: str, clip: str | None, body_parts: str | None, body_units: str | None) -> bool:
     """Whether a body performs nothing by itself, as sequences and characters with a clip do."""
-    loaded = load_body_of(body, clip, body_parts)
+    loaded = load_body_of(body, clip, body_parts, body_units)
     if isinstance(loaded, Character):
         return loaded.clip is None and loaded.is_human
     return isinstance(loaded, ShapedBody)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pb4u import __version__
 from pb4u.environment import Environment
-from pb4u.errors import InputWarning, Pb4uError
+from pb4u.errors import Pb4uError, noted
 from pb4u.jobs.job import Failure, JobPack, Made, address, attempted, require_content
 from pb4u.jobs.job_folder import FOLDER_VERSION
 from pb4u.options import NONE, described
@@ -36,10 +36,9 @@ PICTURED = 0.6
 
 
 class Simulated(NamedTuple):
-    """A scene, what was warned of it, its states and what they cost."""
+    """A scene, its states and what they cost."""
 
     scene: Scene
-    warned: tuple[str, ...]
     states: list[State]
     record: RunRecord
 
@@ -158,12 +157,12 @@ def _together(jobs: Sequence[RunJob]) -> dict[RunJob, Simulated]:
     for job in jobs:
         with suppress(Pb4uError):
             scenes[job] = _scene_of(job, simulator)
-    for numbers in simulator.packs([scene for scene, _ in scenes.values()]):
+    for numbers in simulator.packs(list(scenes.values())):
         pack = [list(scenes)[number] for number in numbers]
         # A job that has no finite first frame, or too little memory, says so when it is simulated alone.
         with suppress(Pb4uError, RuntimeError):
-            made = simulator.together([scenes[job][0] for job in pack])
-            found |= {job: Simulated(*scenes[job], *its) for job, its in zip(pack, made, strict=True)}
+            made = simulator.together([scenes[job] for job in pack])
+            found |= {job: Simulated(scenes[job], *its) for job, its in zip(pack, made, strict=True)}
     return found
 
 
@@ -184,14 +183,14 @@ def make(job: RunJob, simulated: Simulated | None = None) -> Made:
     from pb4u.simulation.simulator import RunRecord
 
     began = time.perf_counter()
-    with _noted() as caught:
+    with _quiet(), noted() as told:
         for _, file, expected in job.contents:
             require_content(Path(file), expected)
         simulator = _simulator(job.run.options, job.weights)
         if simulated is None:
-            (scene, warned), states, record = _scene_of(job, simulator), None, RunRecord()
+            scene, states, record = _scene_of(job, simulator), None, RunRecord()
         else:
-            scene, warned, states, record = simulated
+            scene, states, record = simulated
             _network(job).warn_of(scene)
         trajectory = None
         try:
@@ -201,15 +200,15 @@ def make(job: RunJob, simulated: Simulated | None = None) -> Made:
                 raise
             if job.keep != "stills":
                 raise Pb4uError("The state stopped being finite before the first frame to write.") from error
-    notes = [*warned, *(str(each.message) for each in caught)]
     result: dict[str, Any] = {"metrics": {}, "metrics_paper": {}, "diverged": True, "diverged_at": 0}
     content = None
     if trajectory is None:
         result |= run_facts(simulator.header(scene), simulator, scene, record)
+        result["notes"] = list(dict.fromkeys((*scene.notes, *told)))
         if job.excess:
             result["metrics"] |= _excess(job.run.scene, simulator)
     else:
-        result |= run_report(trajectory, simulator, scene, record)
+        result |= run_report(trajectory, simulator, scene, record, told=told)
         for measured, described in zip(result["garments"], trajectory.header.garments, strict=True):
             measured |= {
                 "vertices": described["vertices"][1] - described["vertices"][0],
@@ -224,15 +223,12 @@ def make(job: RunJob, simulated: Simulated | None = None) -> Made:
             result["slid_at"] = slid_from(shifts)
             result["pictured_frame"] = min(round(PICTURED * (scene.frames - 1)), trajectory.frame_count - 1)
         content = _encoded(job, trajectory, result)
-    scene_notes = len(scene.notes)
-    told = [*result["notes"][:scene_notes], *notes, *result["notes"][scene_notes:]]
     result |= {
         "solver_iterations": sum(result["solver_iterations"]),
         "own_steps": _own_steps(simulator, result["mean_edge_length"]) or result["propagation_steps"],
         "failed_at": record.failed_at,
         "scene_frames": scene.frames,
         "machine": machine(job.device),
-        "notes": list(dict.fromkeys(told)),
         "bytes": len(content or b""),
         "seconds": time.perf_counter() - began + (0.0 if simulated is None else sum(record.step_seconds)),
     }
@@ -260,34 +256,32 @@ def _network(job: RunJob) -> NetworkSimulator:
     return simulator
 
 
-def _scene_of(job: RunJob, simulator: Simulator) -> tuple[Scene, tuple[str, ...]]:
-    """The scene of a job at the rate of its simulator, and what is warned of."""
+def _scene_of(job: RunJob, simulator: Simulator) -> Scene:
+    """The scene of a job at the rate of its simulator; its notes are all that is warned of."""
     from pb4u.simulation.run_simulation import simulated_fps
 
-    with _noted() as caught:
+    with _quiet(), noted() as told:
         fps = simulated_fps(job.run, simulator)
-    scene, warned = _scene(job.run.at_rate(fps).scene, job.run.fps)
-    return scene, (*warned, *(str(each.message) for each in caught))
+    scene = _scene(job.run.at_rate(fps).scene, job.run.fps)
+    return replace(scene, notes=(*scene.notes, *told))
 
 
 @contextmanager
-def _noted() -> Iterator[list[warnings.WarningMessage]]:
-    """List that receives each `InputWarning`; other warnings are left out."""
-    with warnings.catch_warnings(record=True) as caught:
+def _quiet() -> Iterator[None]:
+    """Print no warning: the notes of the result have those of the product."""
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        warnings.simplefilter("always", InputWarning)
-        yield caught
+        yield
 
 
 # Jobs of an evaluation come sorted by scene: the garment is cut and meshed once for all the models.
 @lru_cache(maxsize=1)
-def _scene(run: Run, written_fps: float) -> tuple[Scene, tuple[str, ...]]:
-    """The scene of a run that is written at another rate [1/s], and what is warned of."""
+def _scene(run: Run, written_fps: float) -> Scene:
+    """The scene of a run that is written at another rate [1/s]."""
     from pb4u.scene.assembly import build_scene
 
-    with _noted() as caught:
-        scene = build_scene(run, written_fps)
-    return scene, tuple(str(each.message) for each in caught)
+    with _quiet():
+        return build_scene(run, written_fps)
 
 
 @lru_cache(maxsize=1)
@@ -298,7 +292,7 @@ def _reference(run: Run) -> Reference:
     from pb4u.simulation.stepwise_simulator import SolverSimulator
     from pb4u.simulation.timeline import Timeline
 
-    scene, _ = _scene(run, run.fps)
+    scene = _scene(run, run.fps)
     timeline, solver = Timeline.of(scene), SolverSimulator()
     first = solver.first_frame.start(timeline, solver.method(timeline, RunRecord())).state
     return Reference.of(solver.potential, timeline, first, scene.total_frames, scene.lead_in)

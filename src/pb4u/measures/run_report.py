@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import platform
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import torch
 
+from pb4u.body.contact_region import share_out_of_contact
 from pb4u.measures.divergence import skinned_centres
 from pb4u.measures.excess import BEATEN_BY, distance_to, excess_heights, series
 from pb4u.measures.limbs import Bones, LimbWatch, limbs_sentence, limbs_through_cloth, watched
@@ -29,6 +31,7 @@ def run_report(
     excess: bool = False,
     reference: Trajectory | None = None,
     limbs: tuple[np.ndarray, LimbWatch] | None = None,
+    told: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Names, counts, timing and metrics of a run, as JSON but for numbers that are not finite.
 
@@ -41,6 +44,7 @@ def run_report(
         excess: also measure `excess_height`, three solves a frame, and count the frames that lie below their reference.
         reference: also measure `distance_to_reference`.
         limbs: which were found through cloth, as `watched` gives it; looked for where left out.
+        told: what was warned of besides the notes of the scene.
 
     Raises:
         InputError: the trajectory does not say what its garments are made of, or the reference is of other meshes.
@@ -64,7 +68,7 @@ def run_report(
         *overstretched_sentences(trajectory),
     ]
     facts = run_facts(trajectory.header, simulator, scene, record) | {"frames": trajectory.frame_count}
-    return {**facts, **measured, "notes": [*scene.notes, *filter(None, said)]}
+    return {**facts, **measured, "notes": list(dict.fromkeys((*scene.notes, *told, *filter(None, said))))}
 
 
 def run_facts(header: TrajectoryHeader, simulator: Simulator, scene: Scene, record: RunRecord) -> dict[str, Any]:
@@ -89,8 +93,17 @@ def run_facts(header: TrajectoryHeader, simulator: Simulator, scene: Scene, reco
         "solver_iterations": record.solver_iterations,
         "unsolved_steps": record.unsolved,
         "retried_steps": record.retried,
+        "body_out_of_contact_percent": _out_of_contact(scene),
         "notes": list(scene.notes),
     }
+
+
+def _out_of_contact(scene: Scene) -> float | None:
+    """Percentage of the bodies' area that takes no part in contact; None without a body."""
+    if not scene.colliders:
+        return None
+    shares = [share_out_of_contact(each.rest_vertices, each.faces, each.contact) for each in scene.colliders]
+    return round(100.0 * float(np.mean(shares)), 1)
 
 
 def machine(device: str) -> dict[str, Any]:

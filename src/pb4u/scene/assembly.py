@@ -13,7 +13,7 @@ import numpy as np
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import PosedBody, ShapedBody
 from pb4u.environment import USUAL
-from pb4u.errors import InputError, InputNote, refuse_unknown, warn
+from pb4u.errors import InputError, InputNote, noted, refuse_unknown, warn
 from pb4u.garment.corrected_placement import CorrectedPlacement
 from pb4u.garment.dressing import AttachedPlacement, Placement, PrescribedPlacement, SkinnedPlacement
 from pb4u.garment.fit import RestBody
@@ -101,6 +101,13 @@ def build_scene(run: Run, written_fps: float | None = None) -> Scene:
     Warns:
         InputWarning: as `make_scene` does.
     """
+    with noted() as told:
+        scene = _built(run, written_fps)
+    return replace(scene, notes=tuple(dict.fromkeys((*told, *scene.notes))))
+
+
+def _built(run: Run, written_fps: float | None) -> Scene:
+    """The scene of a run; not all that is warned of is among its notes."""
     body, performed = perform(run)
     collider, notes, kept = performed.body, performed.notes, run.led_frames if run.keep_lead_in else 0
     frames, lead_in = kept + performed.frames, run.led_frames - kept

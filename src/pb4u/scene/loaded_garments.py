@@ -30,7 +30,7 @@ import numpy as np
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, InputNote, warn
-from pb4u.garment.diagnosis import require_fine, require_metres, require_near, require_worn
+from pb4u.garment.diagnosis import require_clothes, require_fine, require_metres, require_near, require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
@@ -169,7 +169,12 @@ def _built_in(worn: WornGarment, body: Body, material: Material, rest_shape: Res
 
 
 def _mesh(worn: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
-    return authors_garment(str(worn.garment), material, MOST_SIMULATED if worn.triangles is None else MOST_READ)
+    most = MOST_SIMULATED if worn.triangles is None else MOST_READ
+    garment = authors_garment(str(worn.garment), material, most)
+    if body is not None:
+        require_clothes(garment, body)
+    require_metres(garment, body, str(worn.garment))
+    return garment
 
 
 def _pattern(worn: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:

@@ -87,7 +87,11 @@ def _load_body(run: Run, recording: MotionAsRecorded | None) -> ShapedBody | Ver
 
 
 def load_body_of(
-    body: str, clip: str | None, body_parts: str | None, shape: Mapping[str, float] | None = None
+    body: str,
+    clip: str | None,
+    body_parts: str | None,
+    body_units: str | None = None,
+    shape: Mapping[str, float] | None = None,
 ) -> ShapedBody | VertexSequence:
     """The body of a run.
 
@@ -95,13 +99,14 @@ def load_body_of(
         body: `Run.body`, a name or a file.
         clip: `Run.clip`.
         body_parts: `Run.body_parts`.
+        body_units: `Run.body_units`.
         shape: shape parameters by name.
 
     Raises:
         InputError: it cannot be read, or has no such clip or parts.
     """
     parts = None if body_parts is None else [part.strip() for part in body_parts.split(",")]
-    return load_body(body, shape, clip=clip, parts=parts)
+    return load_body(body, shape, clip=clip, parts=parts, units=body_units)
 
 
 def _shaped_body(run: Run, shape: Mapping[str, float]) -> ShapedBody | VertexSequence:
@@ -112,7 +117,7 @@ def _shaped_body(run: Run, shape: Mapping[str, float]) -> ShapedBody | VertexSeq
             f"A recording is played as recorded on an SMPL body, given as a model file; {body} has another skeleton."
         )
     if isinstance(body, str | Path):
-        return load_body_of(str(body), run.clip, run.body_parts, {**shape, **run.body_shape})
+        return load_body_of(str(body), run.clip, run.body_parts, run.body_units, {**shape, **run.body_shape})
     if not isinstance(body, ShapedBody | VertexSequence):
         raise InputError("A moving body must be a shaped body or a vertex sequence.")
     if run.body_shape:
@@ -179,13 +184,18 @@ def _load_motion(run: Run) -> tuple[Motion, str]:
 
 def _play(body: VertexSequence, run: Run) -> Performance:
     """A sequence moves by itself; it starts in the pose that garments are fitted to: neither cut nor posed."""
+    stands = len(body.vertices) == 1
     motion, by_itself = run.motion, f"{body.name} is a sequence of vertices that moves by itself"
+    if stands:
+        by_itself = f"{body.name} is a mesh without bones, which stands still"
     _refuse_changes(run, by_itself, "change the sequence where it comes from", ("crop", "arms_away"))
     if run.recorded_fps is not None:
         body = body.recorded_at(run.recorded_fps)
     if motion is not None:
         ignored = motion if isinstance(motion, str | Path) else motion.name
         warn(f"{by_itself}; the motion {ignored} is not used.")
+    elif stands:
+        warn(f"{by_itself}; a rigged character, or a .pc2 or .mdd beside an .obj, moves.", InputNote)
     if body.from_video and not run.raw_motion:
         warn(
             f"{body.name}: from a video, so what is faster than {CUTOFF:g} Hz is smoothed out; --raw-motion leaves it."

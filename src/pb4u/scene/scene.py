@@ -7,6 +7,7 @@ from typing import Any
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.environment import USUAL, Environment
+from pb4u.errors import InputError
 from pb4u.garment.dressing import Placement
 from pb4u.garment.garment import Garment
 
@@ -42,7 +43,10 @@ class Scene:
         seed: seed of everything random in the simulation.
         labels: names for the metadata: garment, sources (name or file of each, None for a loaded one), body,
             body_shape, motion, rest_shape.
-        notes: plain sentences about what was changed or ignored while the scene was made.
+        notes: plain sentences about what was found, changed or ignored while the scene was made.
+
+    Raises:
+        InputError: it has no garment.
     """
 
     garments: tuple[DressedGarment, ...]
@@ -55,6 +59,10 @@ class Scene:
     seed: int = 0
     labels: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.garments:
+            raise InputError("A scene has no garment; give one or more.")
 
     def __repr__(self) -> str:
         worn = [dressed.garment for dressed in self.garments]

@@ -1,0 +1,96 @@
+"""Units of length of files that name none or a wrong one, told by the size of a person."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pb4u.errors import InputError, unknown_name
+
+UNITS = {
+    "metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254, "decimetres": 0.1, "feet": 0.3048
+}  # fmt: skip
+"""Name of a unit -> its length [m]; the likelier come first."""
+
+# Extents [m] of a grown-up and of a person at all, who stands, lies, or spreads arms; those of grown-ups in the units
+# above are apart from each other.
+_GROWN, _PERSON = (1.4, 2.1), (0.5, 2.4)
+# Extent [m] of what is dressed and no person, such as a doll or a giant: taken in metres alone, which files are in.
+_FIGURE = (0.1, 4.5)
+# Extent [m] of a figure whose unit is given.
+_GIVEN = (0.05, 20.0)
+# Extent [m] of a garment, and of any: a sock for a doll, a train of a wedding dress.
+_CLOTH, _ANY_CLOTH = (0.3, 1.8), (0.05, 5.0)
+
+
+def body_unit(file: object, extent: float, given: str | None = None) -> tuple[str, str | None]:
+    """The unit of a body's file, and what is to be told of it where it is not the metre.
+
+    A grown-up in one of the units is taken for that. Else what can be a person or a figure in metres is in metres, and
+    what can be a person in one other unit alone is in that.
+
+    Args:
+        file: of the body, for the sentences.
+        extent: largest of the body along an axis, in the unit of the file.
+        given: unit that the user names.
+
+    Raises:
+        InputError: the unit given is unknown or makes no figure, or none or several make a person.
+    """
+    shown = f"{extent:.3g}" if extent < 1000.0 else f"{extent:.0f}"
+    if given is not None:
+        if given not in UNITS:
+            raise unknown_name("unit of length", given, UNITS)
+        if not _GIVEN[0] <= extent * UNITS[given] <= _GIVEN[1]:
+            raise InputError(f"{file} measures {shown} {given}, and no figure that wears clothes does; give its unit.")
+        return given, None
+    grown, people = (
+        [unit for unit, length in UNITS.items() if low <= extent * length <= high] for low, high in (_GROWN, _PERSON)
+    )
+    if _FIGURE[0] <= extent <= _FIGURE[1]:
+        people = grown = ["metres"]
+    found = grown or people
+    if len(found) != 1:
+        likely = f"a person in {' or in '.join(found)}" if found else "no person in any unit that is known"
+        raise InputError(
+            f"{file}: the body measures {shown} in its own unit, {likely}; say which with --body-units (in Python "
+            f"units=), one of {', '.join(UNITS)}, or scale it to metres."
+        )
+    if found == ["metres"]:
+        return "metres", None
+    return found[0], (
+        f"it measures {shown}, so it is taken to be in {found[0]}, {extent * UNITS[found[0]]:.2f} m; --body-units says "
+        "otherwise."
+    )
+
+
+def is_person(extent: float) -> bool:
+    """Whether a person may have an extent [m].
+
+    Args:
+        extent: largest along an axis [m].
+    """
+    return _PERSON[0] <= extent <= _PERSON[1]
+
+
+def garment_unit(extent: float) -> str | None:
+    """What an extent tells of a garment's unit, as a verb phrase; None where it can be that of one in metres.
+
+    Args:
+        extent: largest of the garment along an axis, as in its file.
+    """
+    if extent < _ANY_CLOTH[0]:
+        return f"spans {1000 * extent:.3g} mm as it is, too small for a garment in metres"
+    if extent <= _ANY_CLOTH[1]:
+        return None
+    usual = [unit for unit, length in UNITS.items() if _CLOTH[0] <= extent * length <= _CLOTH[1]]
+    units = " or in ".join(usual) or ("centimetres" if extent <= 250.0 else "millimetres")
+    return f"spans {extent:.0f} m as it is, it seems to be in {units}"
+
+
+def extent_of(vertices: np.ndarray) -> float:
+    """Largest extent along an axis of (vertices, 3), in their unit.
+
+    Args:
+        vertices: (vertices, 3).
+    """
+    return float(np.ptp(vertices, axis=0).max())

@@ -1,0 +1,131 @@
+"""Faults of an author's mesh on its own, on whatever body: one list for all that read a garment."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pb4u.garment.source_surface import SourceSurface
+from pb4u.garment.surface_parts import gap_between, sewn_on
+from pb4u.geometry.triangle_mesh import edge_lengths
+
+# Deviation of edge lengths, of their mean, above which they count as graded; built-in garments have about a tenth.
+_GRADED = 0.35
+# Share of faces with another layer behind them above which the cloth is reported as double: a hem or a pocket has less.
+_DOUBLE = 0.2
+
+
+class Fault(NamedTuple):
+    """Something about a mesh that a simulation cannot use, or that its author may not have meant.
+
+    Args:
+        code: short fixed name.
+        sentence: what and where.
+        fix: how to mend it.
+        meanwhile: what is done about it when the mesh is simulated as it is.
+        mendable: whether `repair` mends it.
+        faces: indices of the author's polygons concerned.
+        vertices: indices of the author's vertices concerned.
+        is_refused: whether it cannot be simulated.
+    """
+
+    code: str
+    sentence: str
+    fix: str
+    meanwhile: str = ""
+    mendable: bool = False
+    faces: np.ndarray | None = None
+    vertices: np.ndarray | None = None
+    is_refused: bool = False
+
+
+def surface_faults(surface: SourceSurface) -> list[Fault]:
+    """Faults of a mesh on its own.
+
+    Args:
+        surface: the mesh.
+    """
+    topology, first = surface.topology, first_of
+    if not len(surface.faces):
+        sentence = f"None of its {len(surface.all_faces)} faces has an area."
+        return [Fault("no-area", sentence, "export the garment again", is_refused=True)]
+    faults = []
+    if len(edges := topology.non_manifold_edges):
+        extra, on = surface.extra_faces, sewn_on(surface)
+        sentence = f"{len(edges)} edge(s) are shared by three or more faces, first {first(edges)} (pairs of vertices)."
+        fix = f"delete the faces {first(extra)}"
+        if on.any():
+            extra = np.unique(surface.polygon[surface.kept[on]])
+            sentence = f"{sentence[:-1]}: {len(extra)} faces are sewn on there, as a pocket or a flap is."
+            fix = "take them off, or part them from the cloth where it was made"
+        faults.append(Fault("non-manifold", sentence, fix, "", bool(on.any()), extra, edges, is_refused=True))
+    if len(collapsed := surface.polygon[surface.collapsed & ~surface.repeated]):
+        sentence = f"{len(collapsed)} triangle(s) have no area, first {first(collapsed)}."
+        faults.append(Fault("degenerate", sentence, "drop them", "they are left out", True, collapsed))
+    if len(repeated := surface.polygon[surface.repeated]):
+        sentence = f"{len(repeated)} face(s) are there twice, first {first(repeated)}."
+        faults.append(Fault("duplicate", sentence, "drop them", "they are left out", True, repeated))
+    if len(isolated := topology.isolated_vertices):
+        sentence = f"{len(isolated)} vertices belong to no face, first {first(isolated)}."
+        meanwhile = "they are not simulated, and follow the nearest cloth in exports"
+        faults.append(Fault("isolated", sentence, "drop them", meanwhile, True, vertices=isolated))
+    if len(loose := surface.unwelded):
+        sentence = f"{len(loose)} border vertices lie on top of others, first {first(loose)}: a seam that will open."
+        faults.append(Fault("unwelded", sentence, "weld them", "", True, vertices=loose))
+    if surface.piece_count > 1:
+        sentence = f"The garment is in {surface.piece_count} pieces that nothing holds together."
+        fix = "weld the seams between them" if len(loose) else "join them where they were made, or delete all but one"
+        if (gap := gap_between(surface)) is not None and gap.pairs:
+            along = f"{gap.pairs} vertices of their borders face each other {1000 * gap.along:.2g} mm apart"
+            sentence = f"{sentence[:-1]}: {along}."
+            fix = f"merge vertices within {1000 * gap.along * 1.5:.2g} mm where it was made"
+        elif gap is not None:
+            sentence = f"{sentence[:-1]}, {100 * gap.nearest:.2g} cm apart at the nearest."
+        faults.append(Fault("pieces", sentence, fix, mendable=bool(len(loose))))
+    if len(lines := surface.unsewn):
+        sentence = f"{len(lines)} lines of its file join vertices as threads of a seam, first {first(lines)}."
+        fix = (
+            "they are not followed: sew it where it was made, so that both ends are one vertex, or give it as a pattern"
+        )
+        faults.append(Fault("unsewn", sentence, fix, vertices=np.unique(lines)))
+    if len(turned := surface.turned_over):
+        sentence = f"{len(turned)} face(s) are turned over against their neighbours, first {first(turned)}."
+        faults.append(Fault("orientation", sentence, "turn them", "they are simulated turned", True, turned))
+    if not surface.flipped[1]:
+        sentence = "The cloth has only one side, like a Moebius strip."
+        faults.append(Fault("one-sided", sentence, "cut it open where it is twisted"))
+    if is_double(surface):
+        share = surface.double.mean()
+        polygons = surface.polygon[surface.kept[surface.double]]
+        sentence = f"{100 * share:.0f}% of the cloth lies double, back to back, first faces {first(polygons)}."
+        faults.append(Fault("double-layer", sentence, "keep the outer layer only", mendable=True, faces=polygons))
+    lengths = edge_lengths(surface.source.vertices, topology.edges)
+    if lengths.std() > _GRADED * lengths.mean():
+        sentence = f"Edge lengths vary by {lengths.std() / lengths.mean():.2f} of their mean, more than {_GRADED}."
+        fix = f"simulate it evenly meshed with `--triangles {len(surface.faces)}`"
+        faults.append(Fault("graded", sentence, fix))
+    if len(bare := surface.untextured):
+        sentence = f"{len(bare)} of its {len(surface.source.polygons)} faces have no UVs, first {first(bare)}."
+        fix = "unwrap them where they were made to see images and threads there"
+        faults.append(Fault("no-uvs", sentence, fix, faces=bare))
+    return faults
+
+
+def is_double(surface: SourceSurface) -> bool:
+    """Whether so much of the cloth lies double that it is a shell or lined, not hemmed.
+
+    Args:
+        surface: the mesh.
+    """
+    return bool(len(surface.faces)) and float(surface.double.mean()) > _DOUBLE
+
+
+def first_of(ids: np.ndarray) -> str:
+    """The first of some indices (n,), or of pairs of them (n, 2), as text.
+
+    Args:
+        ids: (n,) or (n, 2) int64.
+    """
+    rows = np.asarray(ids)[:5].tolist()
+    return ", ".join("-".join(map(str, row)) if isinstance(row, list) else str(row) for row in rows)
