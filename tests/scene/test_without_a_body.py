@@ -31,11 +31,13 @@ def fallen() -> pb4u.Trajectory:
     return pb4u.load_simulator("solver", first_frame="placed").simulate(alone(0.2), QUIET)
 
 
-@pytest.mark.parametrize("model", ["solver", "quick-solver", "pb4u-small"])
+@pytest.mark.parametrize("model", ["quick-solver", "pb4u-small"])
 @pytest.mark.filterwarnings("ignore::pb4u.errors.InputWarning")
-def test_a_sheet_falls_to_the_ground(model: str, fallen: pb4u.Trajectory) -> None:
-    made = pb4u.load_simulator(model, first_frame="placed", self_contact=False).simulate(alone(0.2), QUIET)
-    height, expected = (np.asarray(each.positions)[..., 1] for each in (made, fallen))
+def test_a_sheet_falls_to_the_ground(model: str) -> None:
+    """By implicit Euler, of which none bounces."""
+    laws = {"first_frame": "placed", "self_contact": False, "time_integration": "implicit-euler"}
+    made, solved = (pb4u.load_simulator(name, **laws).simulate(alone(0.2), QUIET) for name in (model, "solver"))
+    height, expected = (np.asarray(each.positions)[..., 1] for each in (made, solved))
     np.testing.assert_allclose(height.mean(1), expected.mean(1), atol=2e-3)
     assert -1e-3 < height[-1].min() < height[-1].max() < 5e-3
 

@@ -20,8 +20,10 @@ from pb4u.errors import InputError
 from pb4u.measures.metrics import Ruler
 from pb4u.physics.contact.contact_set import nearest_planes
 from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.integrator import IMPLICIT_EULER, INTEGRATORS
 from pb4u.physics.solver.implicit_steps import free_flight, implicit_steps, substep_count
 from pb4u.physics.solver.newton_solver import Solver
+from pb4u.physics.terms.air import Air
 from pb4u.physics.time_step import DivergedError, TimeStep
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.state import State
@@ -127,7 +129,8 @@ def excess_heights(trajectory: Trajectory, progress: Progress = no_progress) -> 
 
     The minimum is the lowest that the solver reaches from the frame itself, from free flight and from the body's
     motion. It is negative where the solver ended higher even from there. The first frame, to which no step led, and
-    what is not finite are not a number. Contact of cloth with cloth counts where the run had it.
+    what is not finite are not a number. Contact of cloth with cloth, air and the rule of integration are those of the
+    run; the first step is one of implicit Euler, since no frame tells of the steps that led to it.
 
     Args:
         trajectory: frames as written.
@@ -136,13 +139,23 @@ def excess_heights(trajectory: Trajectory, progress: Progress = no_progress) -> 
     Raises:
         InputError: the metadata do not say what the garments are made of.
     """
-    ruler, potential = Ruler(trajectory), IncrementalPotential()
-    minima = StepMinima(potential.with_self_contact() if trajectory.metadata.get("self_contact") else potential)
-    heights = [math.nan]
+    ruler, potential, had = Ruler(trajectory), IncrementalPotential(), trajectory.metadata
+    if had.get("self_contact"):
+        potential = potential.with_self_contact()
+    if had.get("air"):
+        potential = potential.with_term(Air())
+    rule = INTEGRATORS[had.get("time_integration", IMPLICIT_EULER.name)]
+    minima, heights, history = StepMinima(potential), [math.nan], tuple[Tensor, ...]()
     for t in range(1, trajectory.frame_count):
-        x = torch.from_numpy(np.array(trajectory.positions[t], dtype=np.float64))
+        x, velocities = (
+            torch.from_numpy(np.array(each[t], dtype=np.float64))
+            for each in (trajectory.positions, trajectory.velocities)
+        )
+        step = ruler.step(t, x)
+        step = replace(step, state=replace(step.state, history=history), integrator=rule)
         finite = np.isfinite(trajectory.positions[t - 1 : t + 1]).all()
-        heights.append(_excess_height(minima, ruler.step(t, x), x) if finite else math.nan)
+        heights.append(_excess_height(minima, step, x) if finite else math.nan)
+        history = rule.history(step.state, step.dt, x - step.state.positions, velocities) if finite else ()
         progress(t + 1, trajectory.frame_count)
     return heights
 
