@@ -70,7 +70,7 @@ class TimeStep:
                 f"{tuple(self.state.positions.shape)}."
             )
 
-    @property
+    @cached_property
     def bodies(self) -> ColliderFrame | None:
         """The bodies around the step where there are any."""
         return None if self.collider.empty else self.collider
@@ -80,7 +80,7 @@ class TimeStep:
         """Whether several positions take as many launches as one: on an accelerator."""
         return self.bodies is not None and self.bodies.colliders.rooms is not None
 
-    @property
+    @cached_property
     def is_on_a_processor(self) -> bool:
         """Whether compiled loops compute it: not on an accelerator, nor where autograd goes back to its start."""
         state = self.state

@@ -85,7 +85,7 @@ class ContactPlanes:
             values: (body vertices, 3) of any unit.
             faces: (body faces, 3) int64 contact faces of the packed colliders.
         """
-        corners = values.to(self.barycentric.dtype)[faces[self.triangle]]
+        corners = _corners(values.to(self.barycentric.dtype), faces, self.triangle)
         return (self.barycentric[:, :, None] * corners).sum(1)
 
     def transported_normals(self, pose: ColliderPose) -> Tensor:
@@ -94,9 +94,15 @@ class ContactPlanes:
         Args:
             pose: pose that the bodies take.
         """
-        corners = pose.positions.to(self.normals.dtype)[pose.colliders.contact_faces[self.triangle]]
+        corners = _corners(pose.positions.to(self.normals.dtype), pose.colliders.contact_faces, self.triangle)
         cross = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return cross / cross.norm(dim=1, keepdim=True).clamp_min(torch.finfo(cross.dtype).tiny)
+
+
+def _corners(values: Tensor, faces: Tensor, triangles: Tensor) -> Tensor:
+    """Values (n, 3, 3) at the corners of some `triangles` (n,) of the `faces`."""
+    # Half of the time of a lookup by several indices.
+    return values.index_select(0, faces.index_select(0, triangles).reshape(-1)).reshape(-1, 3, 3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ Two promises: no step of any kind carries one element of cloth through another, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,6 +37,9 @@ _PARALLEL = 1e-3
 
 _BODY_REACH = 5e-4
 """Distance [m] at which elements of cloth and of a body begin to feel each other; vertices do from 2 mm on."""
+
+_PRESSED = 0.2
+"""Share of the room between two elements below which they count as pressed no harder: nearer is a pinch, not a load."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,16 +117,16 @@ class ClothPairs:
         parallels[: pairs.vertex_faces] = 0.0
         return ClothPairs(pairs, gaps, reaches, 0.25 * shares, parallels, obstacle)
 
-    def joined(self, x: Tensor, *, before: bool = False) -> np.ndarray:
+    def joined(self, x: np.ndarray, *, before: bool = False) -> np.ndarray:
         """Cloth at `x` (vertices, 3) [m] and the bodies as one (vertices + body vertices, 3) [m].
 
         Args:
-            x: (vertices, 3) [m].
+            x: (vertices, 3) float64 [m].
             before: whether the bodies are where they begin, not where they end.
         """
         if self.obstacle is None:
-            return as_float64(x)
-        return np.concatenate([as_float64(x), self.obstacle.before if before else self.obstacle.after])
+            return x
+        return np.concatenate([x, self.obstacle.before if before else self.obstacle.after])
 
     def sides(self, vertex_count: int) -> np.ndarray:
         """A vertex of the cloth (pairs, 2) int64 of each element; of an obstacle's, that of the other element.
@@ -138,7 +142,7 @@ class ClothPairs:
         Args:
             x: (vertices, 3) [m].
         """
-        points = self.joined(x, before=True)
+        points = self.joined(as_float64(x), before=True)
         distances, weights, normals = self.pairs.nearest(points)
         rows = distances < self.reaches
         if not rows.any():
@@ -188,6 +192,13 @@ class TouchingCloth:
     areas: np.ndarray
     carried: np.ndarray
     sides: np.ndarray
+
+    @cached_property
+    def pressures(self) -> np.ndarray:
+        """Pressure (pairs,) of the barrier over its stiffness; minus its derivative by the share of the room."""
+        s = np.clip((self.distances - self.gaps) / (self.reaches - self.gaps), _PRESSED, 1.0)
+        pressures: np.ndarray = (1.0 - s) ** 2 / s - 2.0 * (1.0 - s) * np.log(s)
+        return pressures
 
 
 @dataclass(frozen=True)
@@ -280,6 +291,6 @@ class CollisionFree:
         way = as_float64(moves)
         if cloth.obstacle is not None:
             way = np.concatenate([way, cloth.obstacle.moves])
-        free = torch.from_numpy(free_shares(cloth.pairs, cloth.gaps, cloth.joined(x, before=True), way))
+        free = torch.from_numpy(free_shares(cloth.pairs, cloth.gaps, cloth.joined(as_float64(x), before=True), way))
         world = garments.vertex_world[torch.from_numpy(cloth.sides(len(x))[:, 0])]
         return result.scatter_reduce(0, world, free.to(x), "amin")
