@@ -110,7 +110,7 @@ def parallel_map(function: Callable[[Part], Result], parts: Sequence[Part]) -> l
         function: compiled for the most part, or threads would wait for one another.
         parts: of similar size, more than there are threads, so that none is left waiting.
     """
-    helpers = min(len(parts), thread_count()) - 1
+    helpers = min(len(parts), thread_count()) - 1 if len(parts) > 1 else 0
     if helpers < 1:
         return [function(part) for part in parts]
     results: dict[int, Result] = {}
