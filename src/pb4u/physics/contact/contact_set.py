@@ -146,6 +146,7 @@ class ContactSet:
         if bodies is None:
             return ContactSet()
         now = search(bodies.now, garments, x.detach())
+        _lead(bodies.following, garments, now)
         motion = now.interpolated(bodies.motion, bodies.colliders.contact_faces)
         normals = now.transported_normals(bodies.following)
         return ContactSet(now=now, transported=x + motion.to(x), transported_normals=normals.to(x))
@@ -218,6 +219,13 @@ def _renewed(pose: ColliderPose, garments: PackedGarments, x: Tensor, within: fl
     if known is None or searched:
         pose.found[garments] = known = found
     return known
+
+
+def _lead(pose: ColliderPose, garments: PackedGarments, planes: ContactPlanes) -> None:
+    """Bound the first search at a pose: by where the points of `planes`, those of a pose before it, go."""
+    if _compiled(pose) and garments not in pose.found:
+        points = as_float64(planes.transported(pose))
+        pose.found[garments] = Found.nothing(len(points), points)
 
 
 def _of_found(found: Found, x: Tensor) -> ContactPlanes:
