@@ -6,10 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.collision.jit import as_float64
+from pb4u.collision.jit import as_float64, compiled, compiled_with_fused_products
+from pb4u.collision.lengths import length
 from pb4u.collision.nearest_points import Found
 from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth
 from pb4u.scene.colliders import ColliderFrame, ColliderPose
@@ -17,6 +19,10 @@ from pb4u.scene.packed import PackedGarments
 
 if TYPE_CHECKING:
     from pb4u.physics.contact.obstacle import Obstacle
+
+
+_TINY = float(np.finfo(np.float64).tiny)
+"""Length below which a normal is not one: that of a face without area."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +91,10 @@ class ContactPlanes:
             values: (body vertices, 3) of any unit.
             faces: (body faces, 3) int64 contact faces of the packed colliders.
         """
-        corners = _corners(values.to(self.barycentric.dtype), faces, self.triangle)
+        if _looped(self.barycentric, values):
+            found = _interpolated(self.barycentric.numpy(), self.triangle.numpy(), values.numpy(), faces.numpy())
+            return torch.from_numpy(found)
+        corners = values.to(self.barycentric.dtype)[faces[self.triangle]]
         return (self.barycentric[:, :, None] * corners).sum(1)
 
     def transported_normals(self, pose: ColliderPose) -> Tensor:
@@ -94,15 +103,46 @@ class ContactPlanes:
         Args:
             pose: pose that the bodies take.
         """
-        corners = _corners(pose.positions.to(self.normals.dtype), pose.colliders.contact_faces, self.triangle)
+        faces = pose.colliders.contact_faces
+        if _looped(self.normals, pose.positions):
+            return torch.from_numpy(_face_normals(self.triangle.numpy(), pose.positions.numpy(), faces.numpy()))
+        corners = pose.positions.to(self.normals.dtype)[faces[self.triangle]]
         cross = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return cross / cross.norm(dim=1, keepdim=True).clamp_min(torch.finfo(cross.dtype).tiny)
 
 
-def _corners(values: Tensor, faces: Tensor, triangles: Tensor) -> Tensor:
-    """Values (n, 3, 3) at the corners of some `triangles` (n,) of the `faces`."""
-    # Half of the time of a lookup by several indices.
-    return values.index_select(0, faces.index_select(0, triangles).reshape(-1)).reshape(-1, 3, 3)
+def _looped(*values: Tensor) -> bool:
+    """Whether compiled loops compute with these values: float64 on a processor, as a simulation has them."""
+    return all(v.dtype == torch.float64 and v.device.type == "cpu" and not v.requires_grad for v in values)
+
+
+@compiled
+def _interpolated(barycentric: np.ndarray, triangles: np.ndarray, values: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Values (n, 3) at `barycentric` (n, 3) places of some `triangles` (n,) of the `faces`."""
+    found = np.empty(barycentric.shape)
+    for row in range(len(found)):
+        a, b, c = faces[triangles[row]]
+        u, v, w = barycentric[row]
+        for axis in range(3):
+            found[row, axis] = u * values[a, axis] + v * values[b, axis] + w * values[c, axis]
+    return found
+
+
+@compiled_with_fused_products
+def _face_normals(triangles: np.ndarray, positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals (n, 3) of some `triangles` (n,) of the `faces`; rounded as torch rounds them."""
+    normals = np.empty((len(triangles), 3))
+    for row in range(len(normals)):
+        a, b, c = faces[triangles[row]]
+        for axis in range(3):
+            i, j = (axis + 1) % 3, (axis + 2) % 3
+            ui, uj = positions[b, i] - positions[a, i], positions[b, j] - positions[a, j]
+            vi, vj = positions[c, i] - positions[a, i], positions[c, j] - positions[a, j]
+            normals[row, axis] = ui * vj - uj * vi
+        long = max(length(normals[row, 0], normals[row, 1], normals[row, 2]), _TINY)
+        for axis in range(3):
+            normals[row, axis] /= long
+    return normals
 
 
 @dataclass(frozen=True, eq=False)

@@ -230,19 +230,20 @@ class Solver:
         pairs = PairStiffness.summed(frozen.pair_stiffness(x), self._pattern.free)
         preconditioner.update(stiffness.matrix(), pairs)
         mass = (garments.vertex_masses / frozen.step.inertial_dt**2).numpy()
-        slope, spent, negative = gradient.numpy().copy(), 0, None
+        slope, spent, negative, matrix = gradient.numpy().copy(), 0, None, None
 
         def solve(forcing: float, start: np.ndarray | None = None) -> np.ndarray:
-            nonlocal damping_level, negative, spent
+            nonlocal damping_level, negative, spent, matrix
             while True:
                 compression, extra_mass = _DAMPING_LEVELS[damping_level]
-                matrix = stiffness.matrix(compression, extra_mass * mass, PRECISION)
+                # Tangents change diagonal blocks alone.
+                matrix = stiffness.matrix(compression, extra_mass * mass, PRECISION, matrix)
                 solved = conjugate_gradient(matrix, pairs, -slope, preconditioner.current, forcing, 300, start)
                 spent += solved.iterations
                 if solved.negative is None or damping_level == 0:
                     return solved.solution
                 negative = solved.negative
-                damping_level -= 1
+                damping_level, matrix = damping_level - 1, None
 
         tangents = frozen.tangents(x, self._pattern)
         first = solution = solve(_ROUGHLY)

@@ -6,7 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.collision.jit import compiled, compiled_with_fused_products
+from pb4u.collision.jit import compiled
+from pb4u.collision.lengths import length
 from pb4u.scene.packed import PackedGarments
 
 
@@ -44,15 +45,14 @@ def sums(values: Tensor, garments: PackedGarments) -> Tensor:
     return torch.stack([values[rows].sum() for rows in garments.world_vertices])
 
 
-@compiled_with_fused_products
+@compiled
 def _longest(moves: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     """Length (worlds,) [m] of the longest of the `moves` (vertices, 3) [m] from one of the `offsets` to the next."""
     longest = np.zeros(len(offsets) - 1)
     for world in range(len(longest)):
         for row in range(offsets[world], offsets[world + 1]):
-            x, y, z = moves[row, 0], moves[row, 1], moves[row, 2]
-            longest[world] = max(longest[world], z * z + (y * y + x * x))
-    return np.sqrt(longest)
+            longest[world] = max(longest[world], length(moves[row, 0], moves[row, 1], moves[row, 2]))
+    return longest
 
 
 @compiled
