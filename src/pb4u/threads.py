@@ -27,13 +27,17 @@ Result = TypeVar("Result")
 
 def thread_count() -> int:
     """Number of threads that searches may use: the processors of this process, or OMP_NUM_THREADS where it is less."""
+    wanted = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
+    return min(_processors(), int(wanted)) if wanted.isdecimal() and int(wanted) > 0 else _processors()
+
+
+@cache
+def _processors() -> int:
     try:
-        processors = len(os.sched_getaffinity(0))
+        return len(os.sched_getaffinity(0))
     except AttributeError:
         # Only Linux knows which processors a process may use.
-        processors = os.cpu_count() or 1
-    wanted = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
-    return min(processors, int(wanted)) if wanted.isdecimal() and int(wanted) > 0 else processors
+        return os.cpu_count() or 1
 
 
 def to_device(values: torch.Tensor, device: torch.device) -> torch.Tensor:

@@ -37,14 +37,16 @@ class Energies:
 
     Args:
         terms: (garments,) energies [J] by name of the term.
+        table: (terms, garments) the same in one, where they were made so.
     """
 
     terms: Mapping[str, Tensor]
+    table: Tensor | None = None
 
     @property
     def per_garment(self) -> Tensor:
         """Sum of all terms, (garments,) [J]."""
-        return torch.stack(list(self.terms.values())).sum(0)
+        return (torch.stack(list(self.terms.values())) if self.table is None else self.table).sum(0)
 
     def per_world(self, garments: PackedGarments) -> Tensor:
         """Sums (worlds,) [J] of all terms over the garments of each world.
@@ -235,8 +237,8 @@ class StepPotential:
         # One for each term, so that the sum is the same in whatever order these are ready.
         slopes = np.zeros((len(terms), len(at) if gradient else 0, 3))
         self._each(lambda k: terms[k].add(self.step, contacts, at, energies[k], slopes[k]), range(len(terms)))
-        parts = torch.from_numpy(energies).to(x.dtype).unbind(0)
-        found = Energies({term.name: part for term, part in zip(terms, parts, strict=True)})
+        table = torch.from_numpy(energies).to(x.dtype)
+        found = Energies({term.name: part for term, part in zip(terms, table.unbind(0), strict=True)}, table)
         return found, torch.from_numpy(slopes.sum(axis=0)).to(x.dtype)
 
     def energies_of_worlds(self, xs: Tensor) -> Tensor:

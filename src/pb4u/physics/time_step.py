@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -91,6 +92,11 @@ class TimeStep:
     def contacts(self) -> ContactSet:
         """Contacts at the start of the step with the exact surface of the bodies; queried on first use."""
         return self.contacts_by(partial(nearest_planes, within=MOTION_REACH))
+
+    @cached_property
+    def records(self) -> dict[Any, Any]:
+        """What the loops of terms read over the step, by term, where that depends on nothing else."""
+        return {}
 
     @cached_property
     def obstacle(self) -> Obstacle | None:

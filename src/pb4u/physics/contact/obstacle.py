@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pb4u.collision.crossing_search import CrossingSearch
 from pb4u.collision.jit import as_float64, compiled
+from pb4u.collision.lengths import length
 from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import vertex_areas
@@ -151,12 +152,10 @@ def _edge_sags(
         a, b = edges[edge, 0], edges[edge, 1]
         if not (near[a] and near[b]):
             continue
-        squared, bend = 0.0, 0.0
-        for axis in range(3):
-            chord = points[b, axis] - points[a, axis]
-            squared += chord * chord
-            bend += (normals[b, axis] - normals[a, axis]) * chord
-        if np.sqrt(squared) < longest[edge]:
+        x, y, z = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+        bend = (normals[b, 0] - normals[a, 0]) * x + (normals[b, 1] - normals[a, 1]) * y
+        bend += (normals[b, 2] - normals[a, 2]) * z
+        if length(x, y, z) < longest[edge]:
             dip = min(max(bend / 6.0 - _SPARE, 0.0), _MOST)
             heights[a], heights[b] = max(heights[a], dip), max(heights[b], dip)
     return heights

@@ -22,7 +22,7 @@ from pb4u.physics.contact.self_contact import ClothPairs
 from pb4u.physics.solver.contact_tracking import TrackedContact, moved_off_the_body
 from pb4u.physics.solver.linear_solver import LinearSolution, conjugate_gradient
 from pb4u.physics.solver.preconditioner import PRECISION, AgeingPreconditioner, PatchBasis
-from pb4u.physics.solver.world_sums import each_vertex, factors, norm, sums
+from pb4u.physics.solver.world_sums import each_vertex, factors, norm, squared_ratios, sums
 from pb4u.physics.step_potential import Energies, StepPotential
 from pb4u.physics.terms.pair_stiffness import PairStiffness
 from pb4u.physics.terms.stiffness_matrix import StiffnessPattern
@@ -123,8 +123,8 @@ class Solver:
         self._pattern: StiffnessPattern
         self._preconditioner: AgeingPreconditioner
         self._free: Tensor
-        self._free_rows: Tensor
-        self._free_masses: Tensor
+        self._free_rows: np.ndarray
+        self._masses: np.ndarray
         self._free_counts: list[int]
 
     def minimise(
@@ -203,9 +203,8 @@ class Solver:
             basis = PatchBasis(garments, self._pattern.free)
             self._preconditioner = AgeingPreconditioner(basis, self._pattern.free)
             self._free = torch.from_numpy(self._pattern.free)
-            self._free_rows = torch.nonzero(self._free)[:, 0]
-            self._free_masses = garments.vertex_masses[self._free_rows, None]
-            worlds = garments.vertex_world[self._free_rows]
+            self._free_rows, self._masses = np.flatnonzero(self._pattern.free), garments.vertex_masses.numpy()
+            worlds = garments.vertex_world[self._free]
             self._free_counts = torch.bincount(worlds, minlength=garments.world_count).tolist()
             self._garments = garments
 
@@ -213,8 +212,8 @@ class Solver:
         """Residual as in `Solution`, of the world where it is largest."""
         if not len(self._free_rows):
             return 0.0
-        squared = (gradient.index_select(0, self._free_rows) / self._free_masses).square().sum(1)
-        worlds = torch.split(squared, self._free_counts)
+        squared = squared_ratios(gradient.numpy(), self._masses, self._free_rows)
+        worlds = torch.split(torch.from_numpy(squared), self._free_counts)
         return max(float(world.mean().sqrt()) for world in worlds if len(world)) / STANDARD_GRAVITY
 
     def _direction(

@@ -68,3 +68,20 @@ def norm(forces: np.ndarray, masses: np.ndarray) -> float:
         if masses[row] > 0.0:
             total += (forces[row, 0] ** 2 + forces[row, 1] ** 2 + forces[row, 2] ** 2) / masses[row]
     return np.sqrt(total)
+
+
+@compiled
+def squared_ratios(forces: np.ndarray, masses: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Squared lengths (rows,) of `forces` (vertices, 3) over `masses` (vertices,), of some `rows`.
+
+    Args:
+        forces: (vertices, 3) of any unit.
+        masses: (vertices,) of any unit.
+        rows: (rows,) int64 vertices.
+    """
+    squared = np.empty(len(rows))
+    for number in range(len(rows)):
+        row = rows[number]
+        x, y, z = forces[row, 0] / masses[row], forces[row, 1] / masses[row], forces[row, 2] / masses[row]
+        squared[number] = x * x + y * y + z * z
+    return squared

@@ -38,10 +38,12 @@ class EnergyTerm(ABC):
     Attributes:
         name: by which results and tables refer to it.
         loops: its compiled loops; None for a term without: torch computes it everywhere.
+        reads_contacts: whether its `records` read the contacts at a step's start.
     """
 
     name: str
     loops: ClassVar[ElementLoops | None] = None
+    reads_contacts: ClassVar[bool] = True
 
     @abstractmethod
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
@@ -168,7 +170,13 @@ class CompiledTerm(EnergyTerm):
 
     @cached_property
     def _records_at(self) -> Callable[[ContactSet], Sequence[Record]]:
-        return self.term.records(*self._made_for)
+        step, contacts = self._made_for
+        if self.term.reads_contacts:
+            return self.term.records(step, contacts)
+        # Several potentials of one step, as those of its start and of its end, have such a term in common.
+        if self.term not in step.records:
+            step.records[self.term] = self.term.records(step, contacts)
+        return step.records[self.term]
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         if not x.requires_grad:
