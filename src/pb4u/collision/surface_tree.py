@@ -265,7 +265,7 @@ class SurfaceTree:
 
     @cached_property
     def _pieces_around(self) -> list[tuple[np.ndarray, bool]]:
-        """Pieces of the pairs around vertices that threads look through, and whether they are of a vertex and a face."""
+        """Pieces of the pairs around vertices that threads look through; whether they are of a vertex and a face."""
         return [(piece, kind) for kind in (True, False) for piece in np.array_split(self._around[not kind], _PIECES)]
 
     @cached_property

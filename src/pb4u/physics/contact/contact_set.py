@@ -113,6 +113,8 @@ class ContactPlanes:
 
 def _looped(*values: Tensor) -> bool:
     """Whether compiled loops compute with these values: float64 on a processor, as a simulation has them."""
+    if torch._C._are_functorch_transforms_active():
+        return False
     return all(v.dtype == torch.float64 and v.device.type == "cpu" and not v.requires_grad for v in values)
 
 

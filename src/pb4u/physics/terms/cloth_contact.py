@@ -19,6 +19,7 @@ from pb4u.physics.terms.pair_stiffness import PairStiffness
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
 
+
 @dataclass(frozen=True)
 class ClothContact(EnergyTerm):
     """Sum over pairs of cloth elements of kappa A_p h_p m_p b(s_p) [J], b(s) = -(1 - s)^2 ln s for s < 1.
@@ -117,7 +118,7 @@ class ClothFriction(EnergyTerm):
         touching = contacts.cloth_now
         if touching is not None:
             owners = step.garments.vertex_garment.numpy()
-            _add_friction(*self._sliding(step, touching, x), touching.sides, owners, energies, gradient)
+            _add_friction(touching.sides, owners, energies, gradient, *self._sliding(step, touching, x))
 
     def pair_stiffness(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> PairStiffness | None:
         """Second derivative, a little stiffer than exact along the slip, as that of friction on the body.
@@ -130,7 +131,7 @@ class ClothFriction(EnergyTerm):
         touching = contacts.cloth_now
         if touching is None:
             return None
-        rows = _friction_rows(*self._sliding(step, touching, as_float64(x)))
+        rows = _friction_rows(SOFTENING, *self._sliding(step, touching, as_float64(x)))
         return PairStiffness(np.concatenate([touching.corners] * 2), rows)
 
     def _sliding(self, step: TimeStep, touching: TouchingCloth, x: np.ndarray) -> tuple[Any, ...]:
@@ -236,6 +237,10 @@ def _slip_of(
 
 @compiled
 def _add_friction(
+    sides: np.ndarray,
+    owners: np.ndarray,
+    energies: np.ndarray,
+    gradient: np.ndarray,
     moves: np.ndarray,
     corners: np.ndarray,
     weights: np.ndarray,
@@ -243,10 +248,6 @@ def _add_friction(
     carried: np.ndarray,
     limits: np.ndarray,
     rest: float,
-    sides: np.ndarray,
-    owners: np.ndarray,
-    energies: np.ndarray,
-    gradient: np.ndarray,
 ) -> None:
     """Add energies (garments,) [J] and gradient (vertices, 3) [N], or one without rows, of friction between pairs.
 
@@ -270,6 +271,7 @@ def _add_friction(
 
 @compiled
 def _friction_rows(
+    softening: float,
     moves: np.ndarray,
     corners: np.ndarray,
     weights: np.ndarray,
@@ -278,7 +280,10 @@ def _friction_rows(
     limits: np.ndarray,
     rest: float,
 ) -> np.ndarray:
-    """Rows (2 pairs, 4, 3) [(N/m)^0.5] of the stiffness of friction: along the slips, then across them."""
+    """Rows (2 pairs, 4, 3) [(N/m)^0.5] of the stiffness of friction: along the slips, then across them.
+
+    With a share of the `softening` along the slip; the rest as in `_sliding`.
+    """
     rows, along = np.empty((2 * len(corners), 4, 3)), np.empty(3)
     for pair in range(len(corners)):
         n = normals[pair]
@@ -289,13 +294,13 @@ def _friction_rows(
         share = length / magnitude
         if not length > 1e-12:
             # Any direction across the normal.
-            least = np.argmin(np.abs(n))
+            least = int(np.argmin(np.abs(n)))
             ahead, behind = (least + 1) % 3, (least + 2) % 3
             along[least], along[ahead], along[behind] = 0.0, n[behind], -n[ahead]
             length = np.sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2])
         for axis in range(3):
             along[axis] /= length
-        first, second = np.sqrt(stiffness * (1.0 - SOFTENING * (share * share))), np.sqrt(stiffness)
+        first, second = np.sqrt(stiffness * (1.0 - softening * (share * share))), np.sqrt(stiffness)
         for axis in range(3):
             ahead, behind = (axis + 1) % 3, (axis + 2) % 3
             across = n[ahead] * along[behind] - n[behind] * along[ahead]

@@ -169,7 +169,7 @@ def _pair_keys(elements: Tensor, count: int) -> Tensor:
 
 @compiled_with_fused_products
 def _shift(blocks: np.ndarray, shift: np.ndarray, result: np.ndarray, chosen: np.ndarray) -> None:
-    """Fill the `chosen` rows of `result` with `blocks` (blocks, 3, 3), multiples `shift` (chosen,) of the identity added."""
+    """Fill the `chosen` of `result` with `blocks` (blocks, 3, 3) and multiples `shift` (chosen,) of the identity."""
     for row in range(len(chosen)):
         block = chosen[row]
         for i in range(3):
