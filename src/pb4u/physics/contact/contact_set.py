@@ -37,6 +37,7 @@ class ContactPlanes:
         touchable: (vertices,) bool, False where the vertex has no body or is nearest to a region left out of contact.
         triangle: (vertices,) int64 among the contact faces of the packed colliders.
         barycentric: (vertices, 3) of the point in that face.
+        looped: whether loops carry them along, to the bits of torch: a compiled search found them, in float64.
     """
 
     points: Tensor
@@ -45,6 +46,7 @@ class ContactPlanes:
     touchable: Tensor
     triangle: Tensor
     barycentric: Tensor
+    looped: bool = False
 
     def signed_distance(self, x: Tensor) -> Tensor:
         """Height (vertices,) [m] of each vertex over its plane, negative inside the body.
@@ -73,6 +75,7 @@ class ContactPlanes:
             **{
                 name: torch.where(rows.reshape(-1, *[1] * (value.dim() - 1)), value, getattr(otherwise, name))
                 for name, value in vars(self).items()
+                if isinstance(value, Tensor)
             }
         )
 
@@ -91,7 +94,7 @@ class ContactPlanes:
             values: (body vertices, 3) of any unit.
             faces: (body faces, 3) int64 contact faces of the packed colliders.
         """
-        if _looped(self.barycentric, values):
+        if self.looped and _is_plain(values):
             found = _interpolated(self.barycentric.numpy(), self.triangle.numpy(), values.numpy(), faces.numpy())
             return torch.from_numpy(found)
         corners = values.to(self.barycentric.dtype)[faces[self.triangle]]
@@ -104,18 +107,17 @@ class ContactPlanes:
             pose: pose that the bodies take.
         """
         faces = pose.colliders.contact_faces
-        if _looped(self.normals, pose.positions):
+        if self.looped and _is_plain(pose.positions):
             return torch.from_numpy(_face_normals(self.triangle.numpy(), pose.positions.numpy(), faces.numpy()))
         corners = pose.positions.to(self.normals.dtype)[faces[self.triangle]]
         cross = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return cross / cross.norm(dim=1, keepdim=True).clamp_min(torch.finfo(cross.dtype).tiny)
 
 
-def _looped(*values: Tensor) -> bool:
-    """Whether compiled loops compute with these values: float64 on a processor, as a simulation has them."""
-    if torch._C._are_functorch_transforms_active():
-        return False
-    return all(v.dtype == torch.float64 and v.device.type == "cpu" and not v.requires_grad for v in values)
+def _is_plain(values: Tensor) -> bool:
+    """Whether loops can read float64 `values`: neither autograd nor another transform of torch follows them."""
+    followed = values.requires_grad or torch._C._are_functorch_transforms_active()
+    return values.dtype == torch.float64 and not followed
 
 
 @compiled
@@ -280,6 +282,7 @@ def _of_found(found: Found, x: Tensor) -> ContactPlanes:
         touchable=~beyond,
         triangle=triangle,
         barycentric=barycentric.to(x),
+        looped=x.dtype == torch.float64,
     )
 
 
