@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -71,13 +71,12 @@ class ContactPlanes:
             rows: (vertices,) bool.
             otherwise: planes for the other vertices.
         """
-        return ContactPlanes(
-            **{
-                name: torch.where(rows.reshape(-1, *[1] * (value.dim() - 1)), value, getattr(otherwise, name))
-                for name, value in vars(self).items()
-                if isinstance(value, Tensor)
-            }
-        )
+        chosen: dict[str, Any] = {
+            name: torch.where(rows.reshape(-1, *[1] * (value.dim() - 1)), value, getattr(otherwise, name))
+            for name, value in vars(self).items()
+            if isinstance(value, Tensor)
+        }
+        return ContactPlanes(**chosen)
 
     def transported(self, pose: ColliderPose) -> Tensor:
         """Positions (vertices, 3) [m] of the nearest points when the bodies take `pose`.
