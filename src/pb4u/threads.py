@@ -27,13 +27,17 @@ Result = TypeVar("Result")
 
 def thread_count() -> int:
     """Number of threads that searches may use: the processors of this process, or OMP_NUM_THREADS where it is less."""
+    wanted = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
+    return min(_processors(), int(wanted)) if wanted.isdecimal() and int(wanted) > 0 else _processors()
+
+
+@cache
+def _processors() -> int:
     try:
-        processors = len(os.sched_getaffinity(0))
+        return len(os.sched_getaffinity(0))
     except AttributeError:
         # Only Linux knows which processors a process may use.
-        processors = os.cpu_count() or 1
-    wanted = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
-    return min(processors, int(wanted)) if wanted.isdecimal() and int(wanted) > 0 else processors
+        return os.cpu_count() or 1
 
 
 def to_device(values: torch.Tensor, device: torch.device) -> torch.Tensor:
@@ -110,7 +114,7 @@ def parallel_map(function: Callable[[Part], Result], parts: Sequence[Part]) -> l
         function: compiled for the most part, or threads would wait for one another.
         parts: of similar size, more than there are threads, so that none is left waiting.
     """
-    helpers = min(len(parts), thread_count()) - 1
+    helpers = min(len(parts), thread_count()) - 1 if len(parts) > 1 else 0
     if helpers < 1:
         return [function(part) for part in parts]
     results: dict[int, Result] = {}

@@ -23,6 +23,9 @@ SMALLEST_GAP = 1e-4
 _SHARE_OF_REST = 0.25
 """Share of their distance at rest that two elements of one garment may always come within: slivers of a mesh."""
 
+_OF_PRESENT = 0.9
+"""The same of its distance before a move, where that is less than the gap."""
+
 _OF_OBSTACLE_PRESENT = 0.5
 """Most of its distance from an obstacle before a move that an element keeps: no energy holds them apart, and cloth that
 lies at the smallest gap on skin that bends could not move, so that skin was let through it."""
@@ -62,8 +65,7 @@ def smallest_gaps(pairs: ElementPairs, before: np.ndarray, first_obstacle: int =
         before: (vertices, 3) [m] positions that cross nowhere.
         first_obstacle: number of the first vertex of obstacles, which are the last ones.
     """
-    gaps = np.minimum(SMALLEST_GAP, _SHARE_OF_REST * pairs.rest_distance)
-    return _below_present(before, pairs.corners, pairs.vertex_faces, gaps, first_obstacle)
+    return _smallest_gaps(before, pairs.corners, pairs.vertex_faces, pairs.rest_distance, first_obstacle)
 
 
 def free_shares(pairs: ElementPairs, gaps: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.ndarray:
@@ -261,20 +263,32 @@ def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _below_present(
-    before: np.ndarray, corners: np.ndarray, vertex_faces: int, gaps: np.ndarray, first_obstacle: int
+def smallest_gap(rest_distance: float, distance: float, of_obstacle: bool) -> float:
+    """Gap [m] that a pair keeps, as in `smallest_gaps`.
+
+    Args:
+        rest_distance: between its elements in the rest shape [m].
+        distance: between them where they begin [m].
+        of_obstacle: whether one of them is of an obstacle.
+    """
+    gap = min(SMALLEST_GAP, _SHARE_OF_REST * rest_distance)
+    if of_obstacle:
+        return min(gap, _OF_OBSTACLE_PRESENT * distance)
+    return gap if distance > gap else _OF_PRESENT * distance
+
+
+@compiled
+def _smallest_gaps(
+    before: np.ndarray, corners: np.ndarray, vertex_faces: int, rest_distances: np.ndarray, first_obstacle: int
 ) -> np.ndarray:
-    """`gaps` (pairs,) lowered to nine tenths of the distance `before`, or half of it from obstacles, if less."""
+    """The gaps (pairs,) [m] of `smallest_gaps`."""
     points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)
-    lowered = np.empty(len(corners))
+    gaps = np.empty(len(corners))
     for pair in range(len(corners)):
         gather(before, corners[pair], points)
         distance = nearest(points, pair < vertex_faces, weights, between)
-        if corners[pair].max() >= first_obstacle:
-            lowered[pair] = min(gaps[pair], _OF_OBSTACLE_PRESENT * distance)
-        else:
-            lowered[pair] = gaps[pair] if distance > gaps[pair] else 0.9 * distance
-    return lowered
+        gaps[pair] = smallest_gap(rest_distances[pair], distance, corners[pair].max() >= first_obstacle)
+    return gaps
 
 
 @compiled

@@ -67,4 +67,6 @@ def as_float64(values: Tensor) -> np.ndarray:
     Args:
         values: (...) of any type.
     """
-    return values.detach().to("cpu", torch.float64).contiguous().numpy()
+    if values.dtype is not torch.float64:
+        values = values.to("cpu", torch.float64)
+    return np.asarray(values.numpy(force=True), order="C")

@@ -69,17 +69,10 @@ class Neighbourhood:
             edges: (edges, 2) int64 between vertices that are not of obstacles.
             fitted: gives boxes of the surface's nodes and faces for values (vertices, 3) [m] and their changes.
         """
-        if np.array_equal(self.start, vertices):
-            begun, way = vertices + moves - self.end, np.zeros_like(moves)
-        else:
-            begun, way = vertices - self.end, moves
-        ends, within = np.concatenate([begun, begun + way], axis=1), 2.0 * self.room
-        own = ends[: self.reaches.first_obstacle]
-        calm = _calm(own, edges, within)
-        if len(own) < len(ends):
-            # Cloth that slides over a body strays from that, however much it does so as one.
-            calm &= (own[:, :3] ** 2).sum(axis=1) <= self.room**2
-            calm &= (own[:, 3:] ** 2).sum(axis=1) <= self.room**2
+        begun, way, ends = _strayed(self.start, self.end, vertices, moves)
+        within, own = 2.0 * self.room, ends[: self.reaches.first_obstacle]
+        # Cloth that slides over a body strays from that, however much it does so as one.
+        calm = _calm(own, edges, within, self.room if len(own) < len(ends) else np.inf)
         return Strayed(ends, fitted(begun, way), calm, within)
 
     def near(
@@ -179,8 +172,34 @@ def boxes_within(boxes: np.ndarray, one: int, other: int, within: float) -> bool
 
 
 @compiled
-def _calm(ends: np.ndarray, edges: np.ndarray, within: float) -> np.ndarray:
-    """Whether around each vertex (vertices,) `ends` (vertices, 6) [m] are no further than `within` [m] apart."""
+def _strayed(
+    start: np.ndarray, end: np.ndarray, vertices: np.ndarray, moves: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How far (vertices, 3) [m] vertices are from an `end` as a move begins, how they go on, and both ends of that.
+
+    Of a move from the `start` that led to it, the end alone.
+    """
+    again = True
+    for row in range(len(vertices)):
+        for axis in range(3):
+            again = again and start[row, axis] == vertices[row, axis]
+    begun, way, ends = np.empty(vertices.shape), np.empty(vertices.shape), np.empty((len(vertices), 6))
+    for row in range(len(vertices)):
+        for axis in range(3):
+            if again:
+                begun[row, axis], way[row, axis] = vertices[row, axis] + moves[row, axis] - end[row, axis], 0.0
+            else:
+                begun[row, axis], way[row, axis] = vertices[row, axis] - end[row, axis], moves[row, axis]
+            ends[row, axis], ends[row, 3 + axis] = begun[row, axis], begun[row, axis] + way[row, axis]
+    return begun, way, ends
+
+
+@compiled
+def _calm(ends: np.ndarray, edges: np.ndarray, within: float, room: float) -> np.ndarray:
+    """Whether around each vertex (vertices,) `ends` (vertices, 6) [m] are no further than `within` [m] apart.
+
+    And none further than a `room` [m] from 0.
+    """
     low, high = ends.copy(), ends.copy()
     for edge in range(len(edges)):
         a, b = edges[edge, 0], edges[edge, 1]
@@ -193,7 +212,11 @@ def _calm(ends: np.ndarray, edges: np.ndarray, within: float) -> np.ndarray:
         for axis in range(3):
             begun += (high[v, axis] - low[v, axis]) ** 2
             ended += (high[v, 3 + axis] - low[v, 3 + axis]) ** 2
-        calm[v] = begun <= within**2 and ended <= within**2
+        gone, gone_after = 0.0, 0.0
+        for axis in range(3):
+            gone += ends[v, axis] ** 2
+            gone_after += ends[v, 3 + axis] ** 2
+        calm[v] = begun <= within**2 and ended <= within**2 and gone <= room**2 and gone_after <= room**2
     return calm
 
 

@@ -173,9 +173,11 @@ def near_elements(
                 g = order[j]
                 if not ((asked.faces[f] and others.faces[g]) or (asked.faces[g] and others.faces[f])):
                     continue
-                if not boxes_meet(boxes.faces, f, boxes.faces, g):
+                mixed = faces[f, 0] >= first_obstacle or faces[g, 0] >= first_obstacle
+                # Most faces of cloth whose boxes meet are neighbours; with obstacles it has no vertex in common.
+                if not mixed and share_a_vertex(faces, f, g):
                     continue
-                if share_a_vertex(faces, f, g):
+                if not boxes_meet(boxes.faces, f, boxes.faces, g):
                     continue
                 if strayed is not None and boxes_within(strayed.boxes.faces, f, g, strayed.within):
                     continue
@@ -184,7 +186,6 @@ def near_elements(
                     continue
                 if other[0] >= first_obstacle and _beside(one, other, way):
                     continue
-                mixed = one[0] >= first_obstacle or other[0] >= first_obstacle
                 begun = way.reaches.obstacle if mixed else way.reaches.cloth
                 ended = begun + way.slack
                 if _apart(ends, one, other, begun, ended):

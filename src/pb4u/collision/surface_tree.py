@@ -214,6 +214,7 @@ class SurfaceTree:
         asked = self._own if mixed or among is self._everywhere else self._asked(among)
         others = self._obstacles if mixed else self._all
         whole = np.count_nonzero(asked.vertices) > _FEW
+        pieces = _PIECES if whole else 1
         parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
         # Cloth on skin lies along it: planes of its faces keep most apart whose boxes meet.
         way = Way(vertices, moves, np.concatenate([vertices, vertices + moves], axis=1), reaches, 2.0 * room)
@@ -222,10 +223,9 @@ class SurfaceTree:
             for part in parts
         ]
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
-        pieces = _PIECES if whole else 1
-        around = [(piece, kind) for kind in (True, False) for piece in np.array_split(self._around[not kind], pieces)]
+        around = self._pieces_around if whole else ((self._around[0], True), (self._around[1], False))
         searches += [partial(near_around, *piece, among, way, strayed) for piece in around if not mixed]
-        found = parallel_map(lambda search: search(), searches)
+        found = parallel_map(lambda search: search(), searches) if whole else [search() for search in searches]
         vertex_faces, edge_edges = (
             np.concatenate(
                 [pairs[kind] for pairs in found[: len(parts)]] + found[len(parts) + kind * pieces :][:pieces]
@@ -262,6 +262,11 @@ class SurfaceTree:
         if first < len(vertices):
             setattr(self._kept, kind, _Fitted(vertices[first:].copy(), moves[first:].copy(), margin, room, boxes))
         return boxes
+
+    @cached_property
+    def _pieces_around(self) -> list[tuple[np.ndarray, bool]]:
+        """Pieces of the pairs around vertices that threads look through; whether they are of a vertex and a face."""
+        return [(piece, kind) for kind in (True, False) for piece in np.array_split(self._around[not kind], _PIECES)]
 
     @cached_property
     def _kept(self) -> threading.local:

@@ -37,14 +37,16 @@ class Energies:
 
     Args:
         terms: (garments,) energies [J] by name of the term.
+        table: (terms, garments) the same in one, where they were made so.
     """
 
     terms: Mapping[str, Tensor]
+    table: Tensor | None = None
 
     @property
     def per_garment(self) -> Tensor:
         """Sum of all terms, (garments,) [J]."""
-        return torch.stack(list(self.terms.values())).sum(0)
+        return (torch.stack(list(self.terms.values())) if self.table is None else self.table).sum(0)
 
     def per_world(self, garments: PackedGarments) -> Tensor:
         """Sums (worlds,) [J] of all terms over the garments of each world.
@@ -207,6 +209,8 @@ class StepPotential:
         Args:
             x: (vertices, 3) [m].
         """
+        if self.step.is_on_a_processor and not x.requires_grad:
+            return self._added(x, gradient=False)[0]
         contacts, terms = self._contacts_at(x), self.potential.terms
         found = self._each(lambda term: term.energies(self.step, contacts, x), terms)
         return Energies({term.name: energies for term, energies in zip(terms, found, strict=True)})
@@ -217,12 +221,25 @@ class StepPotential:
         Args:
             x: (vertices, 3) [m] next positions.
         """
+        if self.step.is_on_a_processor:
+            return self._added(x, gradient=True)
         contacts, terms = self._contacts_at(x), self.potential.terms
-        found = self._each(lambda term: term.energies_and_gradient(self.step, contacts, x), terms)
+        found = [term.energies_and_gradient(self.step, contacts, x) for term in terms]
         gradient = torch.zeros_like(x)
         for _, part in found:
             gradient = gradient + part
         return Energies({term.name: energies for term, (energies, _) in zip(terms, found, strict=True)}), gradient
+
+    def _added(self, x: Tensor, *, gradient: bool) -> tuple[Energies, Tensor]:
+        """Energies, and the gradient (vertices, 3) [N] of their total where it is asked for, by the terms' loops."""
+        contacts, terms, at = self._contacts_at(x), self.potential.terms, as_float64(x)
+        energies = np.zeros((len(terms), self.step.garments.garment_count))
+        # One for each term, so that the sum is the same in whatever order these are ready.
+        slopes = np.zeros((len(terms), len(at) if gradient else 0, 3))
+        self._each(lambda k: terms[k].add(self.step, contacts, at, energies[k], slopes[k]), range(len(terms)))
+        table = torch.from_numpy(energies).to(x.dtype)
+        found = Energies({term.name: part for term, part in zip(terms, table.unbind(0), strict=True)}, table)
+        return found, torch.from_numpy(slopes.sum(axis=0)).to(x.dtype)
 
     def energies_of_worlds(self, xs: Tensor) -> Tensor:
         """Sums (positions, worlds) [J] of all terms at several `xs` (positions, vertices, 3) [m], contacts fixed.

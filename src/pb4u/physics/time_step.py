@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -70,7 +71,7 @@ class TimeStep:
                 f"{tuple(self.state.positions.shape)}."
             )
 
-    @property
+    @cached_property
     def bodies(self) -> ColliderFrame | None:
         """The bodies around the step where there are any."""
         return None if self.collider.empty else self.collider
@@ -80,7 +81,7 @@ class TimeStep:
         """Whether several positions take as many launches as one: on an accelerator."""
         return self.bodies is not None and self.bodies.colliders.rooms is not None
 
-    @property
+    @cached_property
     def is_on_a_processor(self) -> bool:
         """Whether compiled loops compute it: not on an accelerator, nor where autograd goes back to its start."""
         state = self.state
@@ -91,6 +92,11 @@ class TimeStep:
     def contacts(self) -> ContactSet:
         """Contacts at the start of the step with the exact surface of the bodies; queried on first use."""
         return self.contacts_by(partial(nearest_planes, within=MOTION_REACH))
+
+    @cached_property
+    def records(self) -> dict[Any, Any]:
+        """What the loops of terms read over the step, by term, where that depends on nothing else."""
+        return {}
 
     @cached_property
     def obstacle(self) -> Obstacle | None:

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.batched_surface import BatchedSurface, Groups, PosedBatch
+from pb4u.collision.jit import as_float64
 from pb4u.collision.nearest_points import Found
 from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.collision.rooms import Rooms
@@ -210,6 +211,11 @@ class ColliderPose:
     def surfaces(self) -> tuple[PosedSurface | None, ...]:
         """Surface of each world's bodies, regions left out of contact cut away; None for a world without any."""
         return self._posed(self.colliders.surfaces)
+
+    @cached_property
+    def touched(self) -> np.ndarray:
+        """Positions (vertices, 3) float64 [m] of the vertices that searches find."""
+        return as_float64(self.positions)[self.colliders.touched[0]]
 
     def batch(self, worlds: int) -> PosedBatch | None:
         """The surfaces of so many worlds for searches in tensors; None where there is none.

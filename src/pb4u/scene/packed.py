@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.collision.jit import as_float64
 from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.environment import STANDARD_GRAVITY
@@ -160,6 +161,11 @@ class PackedGarments:
     def world_weights(self) -> Tensor:
         """Weight (worlds,) [N] of the garments of each world: energy over it is the height that lifts them."""
         return STANDARD_GRAVITY * self.by_world(self.garment_masses)
+
+    @cached_property
+    def impulse_masses(self) -> np.ndarray:
+        """Masses (vertices,) float64 [kg] by which vertices give way to impulses; infinite for pinned ones."""
+        return as_float64(torch.where(self.pinned, torch.inf, self.vertex_masses.clamp_min(1e-12)))
 
     @cached_property
     def vertex_edge_lengths(self) -> Tensor:

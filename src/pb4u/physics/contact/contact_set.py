@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.collision.jit import as_float64
+from pb4u.collision.jit import as_float64, compiled, compiled_with_fused_products
+from pb4u.collision.lengths import length
 from pb4u.collision.nearest_points import Found
 from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth
 from pb4u.scene.colliders import ColliderFrame, ColliderPose
@@ -17,6 +19,10 @@ from pb4u.scene.packed import PackedGarments
 
 if TYPE_CHECKING:
     from pb4u.physics.contact.obstacle import Obstacle
+
+
+_TINY = float(np.finfo(np.float64).tiny)
+"""Length below which a normal is not one: that of a face without area."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +37,7 @@ class ContactPlanes:
         touchable: (vertices,) bool, False where the vertex has no body or is nearest to a region left out of contact.
         triangle: (vertices,) int64 among the contact faces of the packed colliders.
         barycentric: (vertices, 3) of the point in that face.
+        looped: whether loops carry them along, to the bits of torch: a compiled search found them, in float64.
     """
 
     points: Tensor
@@ -39,6 +46,7 @@ class ContactPlanes:
     touchable: Tensor
     triangle: Tensor
     barycentric: Tensor
+    looped: bool = False
 
     def signed_distance(self, x: Tensor) -> Tensor:
         """Height (vertices,) [m] of each vertex over its plane, negative inside the body.
@@ -63,12 +71,12 @@ class ContactPlanes:
             rows: (vertices,) bool.
             otherwise: planes for the other vertices.
         """
-        return ContactPlanes(
-            **{
-                name: torch.where(rows.reshape(-1, *[1] * (value.dim() - 1)), value, getattr(otherwise, name))
-                for name, value in vars(self).items()
-            }
-        )
+        chosen: dict[str, Any] = {
+            name: torch.where(rows.reshape(-1, *[1] * (value.dim() - 1)), value, getattr(otherwise, name))
+            for name, value in vars(self).items()
+            if isinstance(value, Tensor)
+        }
+        return ContactPlanes(**chosen)
 
     def transported(self, pose: ColliderPose) -> Tensor:
         """Positions (vertices, 3) [m] of the nearest points when the bodies take `pose`.
@@ -85,6 +93,9 @@ class ContactPlanes:
             values: (body vertices, 3) of any unit.
             faces: (body faces, 3) int64 contact faces of the packed colliders.
         """
+        if self.looped and _is_plain(values):
+            found = _interpolated(self.barycentric.numpy(), self.triangle.numpy(), values.numpy(), faces.numpy())
+            return torch.from_numpy(found)
         corners = values.to(self.barycentric.dtype)[faces[self.triangle]]
         return (self.barycentric[:, :, None] * corners).sum(1)
 
@@ -94,9 +105,47 @@ class ContactPlanes:
         Args:
             pose: pose that the bodies take.
         """
-        corners = pose.positions.to(self.normals.dtype)[pose.colliders.contact_faces[self.triangle]]
+        faces = pose.colliders.contact_faces
+        if self.looped and _is_plain(pose.positions):
+            return torch.from_numpy(_face_normals(self.triangle.numpy(), pose.positions.numpy(), faces.numpy()))
+        corners = pose.positions.to(self.normals.dtype)[faces[self.triangle]]
         cross = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return cross / cross.norm(dim=1, keepdim=True).clamp_min(torch.finfo(cross.dtype).tiny)
+
+
+def _is_plain(values: Tensor) -> bool:
+    """Whether loops can read float64 `values`: neither autograd nor another transform of torch follows them."""
+    followed = values.requires_grad or torch._C._are_functorch_transforms_active()
+    return values.dtype == torch.float64 and not followed
+
+
+@compiled
+def _interpolated(barycentric: np.ndarray, triangles: np.ndarray, values: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Values (n, 3) at `barycentric` (n, 3) places of some `triangles` (n,) of the `faces`."""
+    found = np.empty(barycentric.shape)
+    for row in range(len(found)):
+        a, b, c = faces[triangles[row]]
+        u, v, w = barycentric[row]
+        for axis in range(3):
+            found[row, axis] = u * values[a, axis] + v * values[b, axis] + w * values[c, axis]
+    return found
+
+
+@compiled_with_fused_products
+def _face_normals(triangles: np.ndarray, positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals (n, 3) of some `triangles` (n,) of the `faces`; rounded as torch rounds them."""
+    normals = np.empty((len(triangles), 3))
+    for row in range(len(normals)):
+        a, b, c = faces[triangles[row]]
+        for axis in range(3):
+            i, j = (axis + 1) % 3, (axis + 2) % 3
+            ui, uj = positions[b, i] - positions[a, i], positions[b, j] - positions[a, j]
+            vi, vj = positions[c, i] - positions[a, i], positions[c, j] - positions[a, j]
+            normals[row, axis] = ui * vj - uj * vi
+        long = max(length(normals[row, 0], normals[row, 1], normals[row, 2]), _TINY)
+        for axis in range(3):
+            normals[row, axis] /= long
+    return normals
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +189,7 @@ class ContactSet:
         if bodies is None:
             return ContactSet()
         now = search(bodies.now, garments, x.detach())
+        _lead(bodies.following, garments, now)
         motion = now.interpolated(bodies.motion, bodies.colliders.contact_faces)
         normals = now.transported_normals(bodies.following)
         return ContactSet(now=now, transported=x + motion.to(x), transported_normals=normals.to(x))
@@ -214,6 +264,13 @@ def _renewed(pose: ColliderPose, garments: PackedGarments, x: Tensor, within: fl
     return known
 
 
+def _lead(pose: ColliderPose, garments: PackedGarments, planes: ContactPlanes) -> None:
+    """Bound the first search at a pose: by where the points of `planes`, those of a pose before it, go."""
+    if _compiled(pose) and garments not in pose.found:
+        points = as_float64(planes.transported(pose))
+        pose.found[garments] = Found.nothing(len(points), points)
+
+
 def _of_found(found: Found, x: Tensor) -> ContactPlanes:
     """The planes that were found, in the data type of `x`."""
     _, triangle, barycentric, positions, normals, distances, beyond = (torch.from_numpy(values) for values in found)
@@ -224,6 +281,7 @@ def _of_found(found: Found, x: Tensor) -> ContactPlanes:
         touchable=~beyond,
         triangle=triangle,
         barycentric=barycentric.to(x),
+        looped=x.dtype == torch.float64,
     )
 
 

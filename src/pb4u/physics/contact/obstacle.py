@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.crossing_search import CrossingSearch
-from pb4u.collision.jit import as_float64
+from pb4u.collision.jit import as_float64, compiled
+from pb4u.collision.lengths import length
 from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import vertex_areas
@@ -56,7 +57,7 @@ class Obstacle:
             x: (vertices, 3) [m] at its start.
         """
         start = None if bodies is None else Obstacle.at(garments, bodies.now, x)
-        return None if start is None or bodies is None else replace(start, after=_positions(bodies.following))
+        return None if start is None or bodies is None else replace(start, after=bodies.following.touched)
 
     @staticmethod
     def at(garments: PackedGarments, pose: ColliderPose, x: Tensor) -> Obstacle | None:
@@ -70,7 +71,7 @@ class Obstacle:
         if all(surface is None for surface in pose.colliders.surfaces):
             return None
         tree, areas = _surface(garments, pose)
-        body = _positions(pose)
+        body = pose.touched
         known = pose.passed.get(garments)
         if known is not None and torch.equal(known[0], x):
             return Obstacle(tree, areas, body, body, known[1])
@@ -130,20 +131,34 @@ def sags(garments: PackedGarments, planes: ContactPlanes) -> Tensor:
         garments: static quantities.
         planes: of the bodies at the step's start.
     """
-    heights = torch.zeros_like(planes.distance)
-    a, b = garments.edges.T
-    chords = planes.points[b] - planes.points[a]
     near = planes.touchable & (planes.distance < MOTION_REACH)
-    bend = ((planes.normals[b] - planes.normals[a]) * chords).sum(1) / 6.0
-    rests = chords.norm(dim=1) < _STRETCHED * garments.edge_lengths
-    dip = torch.where(near[a] & near[b] & rests, bend - _SPARE, 0.0).clamp(0.0, _MOST)
-    for ends in (a, b):
-        heights = heights.scatter_reduce(0, ends, dip.to(heights), "amax")
+    points, normals = as_float64(planes.points), as_float64(planes.normals)
+    longest = _STRETCHED * as_float64(garments.edge_lengths)
+    heights = _edge_sags(points, normals, near.numpy(), garments.edges.numpy(), longest)
+    return torch.from_numpy(heights).to(planes.distance)
+
+
+@compiled
+def _edge_sags(
+    points: np.ndarray, normals: np.ndarray, near: np.ndarray, edges: np.ndarray, longest: np.ndarray
+) -> np.ndarray:
+    """Heights (vertices,) [m] of `sags`, from what is nearest to each vertex.
+
+    Points (vertices, 3) [m], normals (vertices, 3) and whether it is `near` (vertices,); chords over the `edges`
+    (edges, 2) are up to `longest` (edges,) [m].
+    """
+    heights = np.zeros(len(points))
+    for edge in range(len(edges)):
+        a, b = edges[edge, 0], edges[edge, 1]
+        if not (near[a] and near[b]):
+            continue
+        x, y, z = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+        bend = (normals[b, 0] - normals[a, 0]) * x + (normals[b, 1] - normals[a, 1]) * y
+        bend += (normals[b, 2] - normals[a, 2]) * z
+        if length(x, y, z) < longest[edge]:
+            dip = min(max(bend / 6.0 - _SPARE, 0.0), _MOST)
+            heights[a], heights[b] = max(heights[a], dip), max(heights[b], dip)
     return heights
-
-
-def _positions(pose: ColliderPose) -> np.ndarray:
-    return as_float64(pose.positions)[pose.colliders.touched[0]]
 
 
 def _surface(garments: PackedGarments, pose: ColliderPose) -> tuple[SurfaceTree, np.ndarray]:
@@ -152,7 +167,7 @@ def _surface(garments: PackedGarments, pose: ColliderPose) -> tuple[SurfaceTree,
     if (known := colliders.trees.get(garments)) is not None:
         return known
     vertices, faces = colliders.touched
-    body, first = _positions(pose), garments.vertex_count
+    body, first = pose.touched, garments.vertex_count
     rest, own, edges, part = (
         values.cpu().numpy()
         for values in (garments.rest_positions, garments.faces, garments.edges, garments.vertex_garment)

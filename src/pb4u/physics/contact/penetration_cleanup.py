@@ -20,6 +20,7 @@ from torch import Tensor
 from pb4u.collision.jit import as_float64
 from pb4u.collision.nearest_points import Found
 from pb4u.collision.nearest_surface import PosedSurface
+from pb4u.collision.surface_elements import any_corner
 from pb4u.physics.contact.contact_set import MOTION_REACH, ContactPlanes, nearest_planes
 from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.penetration_loops import (
@@ -231,7 +232,7 @@ class FaceClearance:
         rows = garments.world_vertices[world]
         cloth, found = garments.surfaces[world].at(x[rows].copy()), skin.found
         faces = cloth.surface.faces
-        went = (moved[faces + rows.start] > 0.0).any(axis=1)
+        went = any_corner(faces, moved[rows] > 0.0)
         if not skin.new:
             # Where the nearest cloth went bounds what is nearest now.
             carry_found(found, went, x[rows], faces)

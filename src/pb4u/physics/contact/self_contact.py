@@ -7,6 +7,7 @@ Two promises: no step of any kind carries one element of cloth through another, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,12 +18,12 @@ from pb4u.collision.collision_free import (
     free_shares,
     met_by_obstacles,
     past_obstacles,
-    smallest_gaps,
+    smallest_gap,
     through_obstacle,
 )
-from pb4u.collision.element_distance import crossing_shares
+from pb4u.collision.element_distance import crossing_shares, gather, nearest
 from pb4u.collision.element_pairs import ElementPairs
-from pb4u.collision.jit import as_float64
+from pb4u.collision.jit import as_float64, compiled
 from pb4u.scene.packed import PackedGarments
 
 if TYPE_CHECKING:
@@ -36,6 +37,9 @@ _PARALLEL = 1e-3
 
 _BODY_REACH = 5e-4
 """Distance [m] at which elements of cloth and of a body begin to feel each other; vertices do from 2 mm on."""
+
+_PRESSED = 0.2
+"""Share of the room between two elements below which they count as pressed no harder: nearer is a pinch, not a load."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,38 +95,31 @@ class ClothPairs:
             areas = np.concatenate([areas, obstacle.areas])
         near = None if known is None else known.pairs
         pairs = tree.pairs(points, reach, way, near, lasting=True, obstacle_reach=_BODY_REACH)
-        mixed = np.asarray((pairs.corners >= tree.first_obstacle).any(axis=1))
         if obstacle is not None and obstacle.passed.any():
-            kept = ~through_obstacle(pairs.corners, tree.first_obstacle, obstacle.passed)
-            pairs, mixed = pairs.chosen(kept), mixed[kept]
-        gaps = np.empty(len(pairs))
-        gaps[~mixed] = smallest_gaps(pairs.chosen(~mixed), began)
-        # What is near now, where the bodies are, says how near it may come; where the step began they were others.
-        gaps[mixed] = smallest_gaps(pairs.chosen(mixed), points, tree.first_obstacle)
-        reaches = np.maximum(np.minimum(reach, _SHARE_OF_REST * pairs.rest_distance), 2.0 * gaps)
-        reaches[mixed] = _BODY_REACH
-        # An integral over the cloth is met once from the vertices of each side and once from the edges of each.
-        corners = areas[pairs.corners]
-        shares = corners.mean(axis=1)
-        shares[mixed] = np.sqrt(corners[mixed, :2].mean(axis=1) * corners[mixed, 2:].mean(axis=1))
-        vertices = np.flatnonzero(mixed[: pairs.vertex_faces])
-        shares[vertices] = corners[vertices, 0]
-        ends = tree.rest[pairs.corners]
-        lengths = ((ends[:, [1, 3]] - ends[:, [0, 2]]) ** 2).sum(axis=2)
-        parallels = _PARALLEL * lengths.prod(axis=1)
-        parallels[: pairs.vertex_faces] = 0.0
-        return ClothPairs(pairs, gaps, reaches, 0.25 * shares, parallels, obstacle)
+            pairs = pairs.chosen(~through_obstacle(pairs.corners, tree.first_obstacle, obstacle.passed))
+        law = _contact_law(
+            points,
+            began,
+            pairs.corners,
+            pairs.vertex_faces,
+            pairs.rest_distance,
+            tree.first_obstacle,
+            areas,
+            tree.rest,
+            reach,
+        )
+        return ClothPairs(pairs, *law, obstacle)
 
-    def joined(self, x: Tensor, *, before: bool = False) -> np.ndarray:
+    def joined(self, x: np.ndarray, *, before: bool = False) -> np.ndarray:
         """Cloth at `x` (vertices, 3) [m] and the bodies as one (vertices + body vertices, 3) [m].
 
         Args:
-            x: (vertices, 3) [m].
+            x: (vertices, 3) float64 [m].
             before: whether the bodies are where they begin, not where they end.
         """
         if self.obstacle is None:
-            return as_float64(x)
-        return np.concatenate([as_float64(x), self.obstacle.before if before else self.obstacle.after])
+            return x
+        return np.concatenate([x, self.obstacle.before if before else self.obstacle.after])
 
     def sides(self, vertex_count: int) -> np.ndarray:
         """A vertex of the cloth (pairs, 2) int64 of each element; of an obstacle's, that of the other element.
@@ -138,7 +135,7 @@ class ClothPairs:
         Args:
             x: (vertices, 3) [m].
         """
-        points = self.joined(x, before=True)
+        points = self.joined(as_float64(x), before=True)
         distances, weights, normals = self.pairs.nearest(points)
         rows = distances < self.reaches
         if not rows.any():
@@ -154,6 +151,50 @@ class ClothPairs:
         return TouchingCloth(
             corners, weights, normals[rows], distances[rows], self.gaps[rows], self.reaches[rows], areas, carried, sides
         )
+
+
+@compiled
+def _contact_law(
+    points: np.ndarray,
+    began: np.ndarray,
+    corners: np.ndarray,
+    vertex_faces: int,
+    rest_distances: np.ndarray,
+    first_obstacle: int,
+    areas: np.ndarray,
+    rest: np.ndarray,
+    reach: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Gaps, reaches, areas and parallels (pairs,) of `ClothPairs` for the elements at `corners` (pairs, 4).
+
+    Of `points` (vertices, 3) [m] where a move begins, those where the step `began`, and vertices of so large `areas`
+    (vertices,) [m^2].
+    """
+    corner_points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)
+    count = len(corners)
+    gaps, reaches, shares, parallels = np.empty(count), np.empty(count), np.empty(count), np.zeros(count)
+    for pair in range(count):
+        a, b, c, d = corners[pair, 0], corners[pair, 1], corners[pair, 2], corners[pair, 3]
+        mixed, vertex_face = corners[pair].max() >= first_obstacle, pair < vertex_faces
+        # What is near now, where the bodies are, says how near it may come; where the step began they were others.
+        gather(points if mixed else began, corners[pair], corner_points)
+        distance = nearest(corner_points, vertex_face, weights, between)
+        gaps[pair] = smallest_gap(rest_distances[pair], distance, mixed)
+        # An integral over the cloth is met once from the vertices of each side and once from the edges of each.
+        if mixed:
+            reaches[pair] = _BODY_REACH
+            share = np.sqrt((0.5 * (areas[a] + areas[b])) * (0.5 * (areas[c] + areas[d])))
+            shares[pair] = 0.25 * (areas[a] if vertex_face else share)
+        else:
+            reaches[pair] = max(min(reach, _SHARE_OF_REST * rest_distances[pair]), 2.0 * gaps[pair])
+            shares[pair] = 0.25 * (0.25 * (areas[a] + areas[b] + areas[c] + areas[d]))
+        if not vertex_face:
+            one, other = 0.0, 0.0
+            for axis in range(3):
+                one += (rest[b, axis] - rest[a, axis]) ** 2
+                other += (rest[d, axis] - rest[c, axis]) ** 2
+            parallels[pair] = _PARALLEL * (one * other)
+    return gaps, reaches, shares, parallels
 
 
 def _sides(corners: np.ndarray, vertex_count: int) -> np.ndarray:
@@ -188,6 +229,13 @@ class TouchingCloth:
     areas: np.ndarray
     carried: np.ndarray
     sides: np.ndarray
+
+    @cached_property
+    def pressures(self) -> np.ndarray:
+        """Pressure (pairs,) of the barrier over its stiffness; minus its derivative by the share of the room."""
+        s = np.clip((self.distances - self.gaps) / (self.reaches - self.gaps), _PRESSED, 1.0)
+        pressures: np.ndarray = (1.0 - s) ** 2 / s - 2.0 * (1.0 - s) * np.log(s)
+        return pressures
 
 
 @dataclass(frozen=True)
@@ -250,8 +298,9 @@ class CollisionFree:
             apart: whether cloth is known to come to `wanted` from `before`, by whatever way, without touching cloth:
                 only what the bodies turn aside is looked at for that again.
         """
-        firm = garments.pinned if held is None else garments.pinned | held
-        masses = as_float64(torch.where(firm, torch.inf, garments.vertex_masses.clamp_min(1e-12)))
+        masses = garments.impulse_masses
+        if held is not None:
+            masses = np.where(held.numpy(), np.inf, masses)
         begun, asked = as_float64(before), as_float64(wanted)
         known = None if cloth is None else (cloth.pairs, cloth.gaps)
         if obstacle is None:
@@ -280,6 +329,6 @@ class CollisionFree:
         way = as_float64(moves)
         if cloth.obstacle is not None:
             way = np.concatenate([way, cloth.obstacle.moves])
-        free = torch.from_numpy(free_shares(cloth.pairs, cloth.gaps, cloth.joined(x, before=True), way))
+        free = torch.from_numpy(free_shares(cloth.pairs, cloth.gaps, cloth.joined(as_float64(x), before=True), way))
         world = garments.vertex_world[torch.from_numpy(cloth.sides(len(x))[:, 0])]
         return result.scatter_reduce(0, world, free.to(x), "amin")

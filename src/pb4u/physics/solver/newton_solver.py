@@ -22,6 +22,7 @@ from pb4u.physics.contact.self_contact import ClothPairs
 from pb4u.physics.solver.contact_tracking import TrackedContact, moved_off_the_body
 from pb4u.physics.solver.linear_solver import LinearSolution, conjugate_gradient
 from pb4u.physics.solver.preconditioner import PRECISION, AgeingPreconditioner, PatchBasis
+from pb4u.physics.solver.world_sums import each_vertex, factors, norm, squared_ratios, sums
 from pb4u.physics.step_potential import Energies, StepPotential
 from pb4u.physics.terms.pair_stiffness import PairStiffness
 from pb4u.physics.terms.stiffness_matrix import StiffnessPattern
@@ -122,6 +123,9 @@ class Solver:
         self._pattern: StiffnessPattern
         self._preconditioner: AgeingPreconditioner
         self._free: Tensor
+        self._free_rows: np.ndarray
+        self._masses: np.ndarray
+        self._free_counts: list[int]
 
     def minimise(
         self,
@@ -170,7 +174,7 @@ class Solver:
             frozen = contact.potential_at(x).with_cloth(cloth)
             energies, gradient = frozen.energies_and_gradient(x)
             gradient = torch.where(self._free[:, None], gradient, 0.0)
-            residual, total = self._residual(garments, gradient), float(energies.total)
+            residual, total = self._residual(gradient), float(energies.total)
             if not np.isfinite(residual) or not np.isfinite(total):
                 raise DivergedError(potential.step.state.frame + 1, "the solver met positions without finite energy")
             if watch is not None:
@@ -199,16 +203,17 @@ class Solver:
             basis = PatchBasis(garments, self._pattern.free)
             self._preconditioner = AgeingPreconditioner(basis, self._pattern.free)
             self._free = torch.from_numpy(self._pattern.free)
+            self._free_rows, self._masses = np.flatnonzero(self._pattern.free), garments.vertex_masses.numpy()
+            worlds = garments.vertex_world[self._free]
+            self._free_counts = torch.bincount(worlds, minlength=garments.world_count).tolist()
             self._garments = garments
 
-    def _residual(self, garments: PackedGarments, gradient: Tensor) -> float:
+    def _residual(self, gradient: Tensor) -> float:
         """Residual as in `Solution`, of the world where it is largest."""
-        free = self._free
-        if not bool(free.any()):
+        if not len(self._free_rows):
             return 0.0
-        squared = (gradient[free] / garments.vertex_masses[free, None]).square().sum(1)
-        counts = torch.bincount(garments.vertex_world[free], minlength=garments.world_count).tolist()
-        worlds = torch.split(squared, counts)
+        squared = squared_ratios(gradient.numpy(), self._masses, self._free_rows)
+        worlds = torch.split(torch.from_numpy(squared), self._free_counts)
         return max(float(world.mean().sqrt()) for world in worlds if len(world)) / STANDARD_GRAVITY
 
     def _direction(
@@ -224,19 +229,20 @@ class Solver:
         pairs = PairStiffness.summed(frozen.pair_stiffness(x), self._pattern.free)
         preconditioner.update(stiffness.matrix(), pairs)
         mass = (garments.vertex_masses / frozen.step.inertial_dt**2).numpy()
-        slope, spent, negative = gradient.numpy().copy(), 0, None
+        slope, spent, negative, matrix = gradient.numpy().copy(), 0, None, None
 
         def solve(forcing: float, start: np.ndarray | None = None) -> np.ndarray:
-            nonlocal damping_level, negative, spent
+            nonlocal damping_level, negative, spent, matrix
             while True:
                 compression, extra_mass = _DAMPING_LEVELS[damping_level]
-                matrix = stiffness.matrix(compression, extra_mass * mass, PRECISION)
+                # Tangents change diagonal blocks alone.
+                matrix = stiffness.matrix(compression, extra_mass * mass, PRECISION, matrix)
                 solved = conjugate_gradient(matrix, pairs, -slope, preconditioner.current, forcing, 300, start)
                 spent += solved.iterations
                 if solved.negative is None or damping_level == 0:
                     return solved.solution
                 negative = solved.negative
-                damping_level -= 1
+                damping_level, matrix = damping_level - 1, None
 
         tangents = frozen.tangents(x, self._pattern)
         first = solution = solve(_ROUGHLY)
@@ -244,13 +250,13 @@ class Solver:
             missed = np.zeros_like(slope)
             for tangent in tangents:
                 tangent(solution, stiffness, slope, missed)
-            if _norm(missed, mass) <= _MISSED * _norm(gradient.numpy(), mass):
+            if norm(missed, mass) <= _MISSED * norm(gradient.numpy(), mass):
                 break
             solution = solve(_ROUGHLY, solution)
         solution = solve(_FINELY, solution)
         preconditioner.served(spent)
         # The model looks where the step leads; the line search needs what falls from where it begins.
-        falls = (_sums(gradient * torch.from_numpy(solution), garments) < 0)[garments.vertex_world]
+        falls = (sums(gradient * torch.from_numpy(solution), garments) < 0)[garments.vertex_world]
         solution = np.where(falls.numpy()[:, None], solution, first)
         return LinearSolution(solution, spent, negative), damping_level
 
@@ -264,9 +270,9 @@ class Solver:
         (vertices, 3) [m]. None where no world accepts a step.
         """
         garments, direction = frozen.step.garments, torch.from_numpy(solved.solution)
-        direction = direction * _each_vertex(_factors(direction, _LARGEST_MOVE, garments).clamp_max(1.0), garments)
+        direction = direction * each_vertex(factors(direction, _LARGEST_MOVE, garments).clamp_max(1.0), garments)
         # A Newton step halves the slope by the time that it ends.
-        promised = -0.5 * _sums(gradient * direction, garments)
+        promised = -0.5 * sums(gradient * direction, garments)
         place = _along_newton(_Place(frozen, x, energies), direction, gradient)
         if place is None:
             return None
@@ -293,17 +299,17 @@ def _along_newton(place: _Place, direction: Tensor, gradient: Tensor) -> _Place 
     garments = frozen.step.garments
     wanted = x + direction
     frozen, free = frozen.reached(x, wanted)
-    slope, length = _sums(gradient * direction, garments), torch.ones(garments.world_count, dtype=x.dtype)
+    slope, length = sums(gradient * direction, garments), torch.ones(garments.world_count, dtype=x.dtype)
     if free is not wanted:
-        aside = _sums(gradient * (free - x), garments)
+        aside = sums(gradient * (free - x), garments)
         falls = aside < 0
-        direction = torch.where(_each_vertex(falls, garments), free - x, direction)
+        direction = torch.where(each_vertex(falls, garments), free - x, direction)
         slope = torch.where(falls, aside, slope)
         if not bool(falls.all()):
             # Turned aside it no longer lowers the energy of a world: all of that goes as far as it can.
             frozen, length = frozen.as_far_as_free(x, direction)
     for _ in range(_HALVINGS):
-        candidate = x + _each_vertex(length, garments) * direction
+        candidate = x + each_vertex(length, garments) * direction
         reached = frozen.energies(candidate).per_world(garments)
         accepted = reached <= energies + _SUFFICIENT_DECREASE * length * slope
         if bool(accepted.all()):
@@ -311,7 +317,7 @@ def _along_newton(place: _Place, direction: Tensor, gradient: Tensor) -> _Place 
         length = torch.where(accepted, length, 0.5 * length)
     if not bool(accepted.any()):
         return None
-    candidate = torch.where(_each_vertex(accepted, garments), candidate, x)
+    candidate = torch.where(each_vertex(accepted, garments), candidate, x)
     return _Place(frozen, candidate, frozen.energies(candidate).per_world(garments))
 
 
@@ -321,9 +327,9 @@ def _along_buckling(place: _Place, buckling: Tensor, gradient: Tensor) -> _Place
     There is no slope to compare with; the `gradient` (vertices, 3) [N] tells which way to begin.
     """
     garments, start = place.frozen.step.garments, place.positions
-    buckling = buckling * _each_vertex(_factors(buckling, _BUCKLING_MOVE, garments), garments)
-    rises = _sums(gradient * buckling, garments) > 0
-    buckling = buckling * _each_vertex(torch.where(rises, -1.0, 1.0), garments)
+    buckling = buckling * each_vertex(factors(buckling, _BUCKLING_MOVE, garments), garments)
+    rises = sums(gradient * buckling, garments) > 0
+    buckling = buckling * each_vertex(torch.where(rises, -1.0, 1.0), garments)
     result, reached, size, falling = start, place.energies, 1.0, torch.ones_like(rises)
     longest = 2.0**_BUCKLING_SEARCHED
     frozen, share = place.frozen.as_far_as_free(start, longest * buckling)
@@ -332,12 +338,12 @@ def _along_buckling(place: _Place, buckling: Tensor, gradient: Tensor) -> _Place
             longest = 2.0 ** (_BUCKLING_DOUBLINGS - 1)
             frozen, share = place.frozen.as_far_as_free(start, longest * buckling)
         falling = falling & (size <= longest * share)
-        further = torch.where(_each_vertex(falling, garments), start + size * buckling, result)
+        further = torch.where(each_vertex(falling, garments), start + size * buckling, result)
         lower = frozen.energies(further).per_world(garments)
         falling = falling & (lower < reached)
         if not bool(falling.any()):
             break
-        result = torch.where(_each_vertex(falling, garments), further, result)
+        result = torch.where(each_vertex(falling, garments), further, result)
         reached, size = torch.where(falling, lower, reached), 2.0 * size
     return _Place(frozen, result, reached)
 
@@ -360,29 +366,4 @@ def _reached(potential: StepPotential, wanted: Tensor) -> tuple[StepPotential, T
     better = standing.energies(held).per_world(garments) < moved.energies(start).per_world(garments)
     if not bool(better.any()):
         return moved, start
-    return potential.reached(before, torch.where(_each_vertex(better, garments), held, start))
-
-
-def _norm(forces: np.ndarray, masses: np.ndarray) -> float:
-    """Norm of `forces` (vertices, 3) weighed by the inverse `masses` (vertices,), those without mass left out."""
-    return float(np.sqrt(((forces**2).sum(axis=1) / np.where(masses > 0, masses, np.inf)).sum()))
-
-
-def _factors(moves: Tensor, size: float, garments: PackedGarments) -> Tensor:
-    """Factors (worlds,) that scale the `moves` (vertices, 3) [m] of each world so that the longest is `size` [m].
-
-    0 for a world whose longest move is below 1e-12 of the longest of all worlds: that is rounding.
-    """
-    counts = torch.tensor(garments.world_offsets).diff()
-    largest = torch.segment_reduce(moves.norm(dim=1), "max", lengths=counts)
-    return torch.where(largest > 1e-12 * largest.max(), torch.full_like(largest, size) / largest, 0.0)
-
-
-def _each_vertex(values: Tensor, garments: PackedGarments) -> Tensor:
-    """(vertices, 1) of each vertex, the one of `values` (worlds,) that is its world's."""
-    return values[garments.vertex_world, None]
-
-
-def _sums(values: Tensor, garments: PackedGarments) -> Tensor:
-    """(worlds,) sums of `values` (vertices, 3) over the vertices of each world."""
-    return torch.stack([values[rows].sum() for rows in garments.world_vertices])
+    return potential.reached(before, torch.where(each_vertex(better, garments), held, start))

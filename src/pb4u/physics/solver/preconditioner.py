@@ -6,6 +6,7 @@ what makes plain iterations slower on finer meshes. Patches do not depend on the
 
 from __future__ import annotations
 
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -69,6 +70,13 @@ class PatchBasis:
         self.functions = (diags(free.astype(np.float64)) @ functions).tocsr()
         self.by_vertex = _arrays(self.functions)
 
+    @cached_property
+    def by_axis(self) -> Any:
+        """Sparse matrix (3 vertices, 3 functions) of the functions along each axis."""
+        from scipy.sparse import eye, kron
+
+        return kron(self.functions, eye(3))
+
 
 def _arrays(matrix: Any) -> Functions:
     """A sparse matrix by rows as arrays."""
@@ -110,16 +118,13 @@ class TwoLevelPreconditioner:
             matrix: stiffness of the mesh.
             pairs: stiffness of the pairs in contact.
         """
-        functions = self.basis.functions
-        width = functions.shape[1]
-        coarse = np.zeros((width, 3, width, 3))
-        _add_coarse(matrix.starts, matrix.columns, matrix.blocks, self.basis.by_vertex, coarse)
-        coarse = coarse.reshape(3 * width, 3 * width)
+        width = self.basis.functions.shape[1]
+        sums = np.zeros((width, width, 9))
+        _add_coarse(matrix.starts, matrix.columns, matrix.blocks.reshape(-1, 9), self.basis.by_vertex, sums)
+        coarse = sums.reshape(width, width, 3, 3).transpose(0, 2, 1, 3).reshape(3 * width, 3 * width)
         coarse += coarse.T
         if len(pairs):
-            from scipy.sparse import eye, kron
-
-            root = (pairs.root(len(self._free)) @ kron(functions, eye(3))).tocsr()
+            root = (pairs.root(len(self._free)) @ self.basis.by_axis).tocsr()
             coarse += (root.T @ root).toarray()
         self._coarse_inverse = _inverse(coarse).astype(self._precision)
 
@@ -312,13 +317,14 @@ def _add_coarse(
     functions: Functions,
     coarse: np.ndarray,
 ) -> None:
-    """Add half of P^T A P to `coarse` (functions, 3, functions, 3): with its transpose it is the whole.
+    """Add half of P^T A P to `coarse` (functions, functions, 9): with its transpose it is the whole.
 
-    A is the matrix of `SymmetricBlocks`, P has the values of the `functions` by vertex.
+    A is the matrix of `SymmetricBlocks`, its blocks (blocks, 9) by rows as those of the result; P has the values of the
+    `functions` by vertex.
     """
     first, indices, values = functions
     touched, known = np.empty(coarse.shape[0], dtype=np.int64), np.full(coarse.shape[0], -1)
-    sums = np.empty((coarse.shape[0], 3, 3))
+    sums = np.empty((coarse.shape[0], 9))
     for row in range(len(starts) - 1):
         # The blocks of this row times P, function by function, then these times P^T.
         count = 0
@@ -329,17 +335,17 @@ def _add_coarse(
                 function = indices[k]
                 if known[function] < 0:
                     known[function], touched[count] = count, function
-                    for i in range(3):
-                        for j in range(3):
-                            sums[count, i, j] = 0.0
+                    for entry in range(9):
+                        sums[count, entry] = 0.0
                     count += 1
-                for i in range(3):
-                    for j in range(3):
-                        sums[known[function], i, j] += share * values[k] * blocks[block, i, j]
+                place, scale = known[function], share * values[k]
+                for entry in range(9):
+                    sums[place, entry] += scale * blocks[block, entry]
         for k in range(first[row], first[row + 1]):
+            function, scale = indices[k], values[k]
             for n in range(count):
-                for i in range(3):
-                    for j in range(3):
-                        coarse[indices[k], i, touched[n], j] += values[k] * sums[n, i, j]
+                other = touched[n]
+                for entry in range(9):
+                    coarse[function, other, entry] += scale * sums[n, entry]
         for n in range(count):
             known[touched[n]] = -1

@@ -75,6 +75,7 @@ class Bending(EnergyTerm):
 
     name = "bending"
     loops = element_loops(_hinge, 4)
+    reads_contacts = False
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         garments, bend = step.garments, bends(step.garments, x)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.element_distance import crossing_share, gather, nearest
-from pb4u.collision.jit import compiled
+from pb4u.collision.jit import as_float64, compiled
 from pb4u.physics.contact.contact_set import ContactSet
 from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth
 from pb4u.physics.terms.energy_term import EnergyTerm, dot
@@ -18,9 +18,6 @@ from pb4u.physics.terms.friction import SOFTENING
 from pb4u.physics.terms.pair_stiffness import PairStiffness
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
-
-_PRESSED = 0.2
-"""Share of the room between two elements below which they count as pressed no harder: nearer is a pinch, not a load."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +44,14 @@ class ClothContact(EnergyTerm):
         return energies
 
     def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        cloth = contacts.cloth
-        if cloth is None:
-            return x.new_zeros(step.garments.garment_count), torch.zeros_like(x)
-        values, gradient = _barrier(cloth.joined(x), *_law(cloth), self.stiffness)
-        energies = _by_garment(step.garments, cloth.sides(len(x)), torch.from_numpy(values)).to(x)
-        return energies, torch.from_numpy(gradient[: len(x)]).to(x)
+        return self._added(step, contacts, x)
+
+    def add(
+        self, step: TimeStep, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray
+    ) -> None:
+        cloth, owners = contacts.cloth, step.garments.vertex_garment.numpy()
+        if cloth is not None:
+            _add_barrier(cloth.joined(x), *_law(cloth), self.stiffness, owners, energies, gradient)
 
     def pair_stiffness(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> PairStiffness | None:
         """Second derivative along the line between the nearest points; what turning adds is left out.
@@ -64,7 +63,8 @@ class ClothContact(EnergyTerm):
         """
         if contacts.cloth is None:
             return None
-        corners, rows = _barrier_rows(contacts.cloth.joined(x), *_law(contacts.cloth), self.stiffness)
+        points = contacts.cloth.joined(as_float64(x))
+        corners, rows = _barrier_rows(points, *_law(contacts.cloth), self.stiffness)
         rows[corners >= len(x)] = 0.0
         return PairStiffness(np.where(corners < len(x), corners, 0), rows)
 
@@ -74,9 +74,7 @@ class ClothContact(EnergyTerm):
         Args:
             touching: pairs that feel each other.
         """
-        room = touching.reaches - touching.gaps
-        s = np.clip((touching.distances - touching.gaps) / room, _PRESSED, 1.0)
-        forces: np.ndarray = self.stiffness * touching.areas * ((1.0 - s) ** 2 / s - 2.0 * (1.0 - s) * np.log(s))
+        forces: np.ndarray = self.stiffness * touching.areas * touching.pressures
         return forces
 
 
@@ -102,19 +100,25 @@ class ClothFriction(EnergyTerm):
         touching = contacts.cloth_now
         if touching is None:
             return x.new_zeros(step.garments.garment_count)
-        _, limit, magnitude, rest = self._sliding(step, touching, x)
-        return _by_garment(step.garments, touching.sides, limit * (magnitude - rest))
+        weights, normals = torch.from_numpy(touching.weights).to(x), torch.from_numpy(touching.normals).to(x)
+        slip = (weights[:, :, None] * (x - step.state.positions)[torch.from_numpy(touching.corners)]).sum(1)
+        slip = slip + torch.from_numpy(touching.carried).to(x)
+        across, rest = slip - dot(slip, normals)[:, None] * normals, self.smoothing * step.dt
+        limit = step.garments.friction[torch.from_numpy(touching.sides)].amin(1).to(x)
+        limit = limit * torch.from_numpy(self.contact.forces(touching)).to(x)
+        energies = limit * ((across.square().sum(1) + rest * rest).sqrt() - rest)
+        return _by_garment(step.garments, touching.sides, energies)
 
     def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
+        return self._added(step, contacts, x)
+
+    def add(
+        self, step: TimeStep, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray
+    ) -> None:
         touching = contacts.cloth_now
-        if touching is None:
-            return x.new_zeros(step.garments.garment_count), torch.zeros_like(x)
-        across, limit, magnitude, rest = self._sliding(step, touching, x)
-        pull = (limit / magnitude)[:, None] * across
-        weighted = torch.from_numpy(touching.weights).to(x)[:, :, None] * pull[:, None, :]
-        corners = torch.from_numpy(touching.corners).reshape(-1)
-        gradient = torch.zeros_like(x).index_add_(0, corners, weighted.reshape(-1, 3))
-        return _by_garment(step.garments, touching.sides, limit * (magnitude - rest)), gradient
+        if touching is not None:
+            owners = step.garments.vertex_garment.numpy()
+            _add_friction(touching.sides, owners, energies, gradient, *self._sliding(step, touching, x))
 
     def pair_stiffness(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> PairStiffness | None:
         """Second derivative, a little stiffer than exact along the slip, as that of friction on the body.
@@ -127,34 +131,15 @@ class ClothFriction(EnergyTerm):
         touching = contacts.cloth_now
         if touching is None:
             return None
-        across = self._slip(step, touching, x).numpy()
-        rest = self.smoothing * step.dt
-        length = np.linalg.norm(across, axis=1)
-        magnitude = np.sqrt(length**2 + rest**2)
-        stiffness = self._limit(step, touching, x).numpy() / magnitude
-        along = np.where((length > 1e-12)[:, None], across, _any_across(touching.normals))
-        along /= np.linalg.norm(along, axis=1, keepdims=True)
-        softened = stiffness * (1.0 - SOFTENING * (length / magnitude) ** 2)
-        axes = (np.sqrt(softened)[:, None] * along, np.sqrt(stiffness)[:, None] * np.cross(touching.normals, along))
-        rows = [touching.weights[:, :, None] * axis[:, None, :] for axis in axes]
-        return PairStiffness(np.concatenate([touching.corners] * 2), np.concatenate(rows))
+        rows = _friction_rows(SOFTENING, *self._sliding(step, touching, as_float64(x)))
+        return PairStiffness(np.concatenate([touching.corners] * 2), rows)
 
-    def _sliding(self, step: TimeStep, touching: TouchingCloth, x: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
-        """Slip (pairs, 3) [m], greatest force (pairs,) [N], softened length (pairs,) of the slip [m], softening [m]."""
-        across, rest = self._slip(step, touching, x), self.smoothing * step.dt
-        return across, self._limit(step, touching, x), (across.square().sum(1) + rest * rest).sqrt(), rest
-
-    def _slip(self, step: TimeStep, touching: TouchingCloth, x: Tensor) -> Tensor:
-        """Slip (pairs, 3) [m] of the nearest points over the step without its part along the normal."""
-        weights, normals = torch.from_numpy(touching.weights).to(x), torch.from_numpy(touching.normals).to(x)
-        slip = (weights[:, :, None] * (x - step.state.positions)[torch.from_numpy(touching.corners)]).sum(1)
-        slip = slip + torch.from_numpy(touching.carried).to(x)
-        return slip - dot(slip, normals)[:, None] * normals
-
-    def _limit(self, step: TimeStep, touching: TouchingCloth, x: Tensor) -> Tensor:
-        """Friction limit (pairs,) [N]."""
-        coefficients = step.garments.friction[torch.from_numpy(touching.sides)].amin(1).to(x)
-        return coefficients * torch.from_numpy(self.contact.forces(touching)).to(x)
+    def _sliding(self, step: TimeStep, touching: TouchingCloth, x: np.ndarray) -> tuple[Any, ...]:
+        """What the loops over pairs read: moves (vertices, 3) [m], the pairs, friction limits (pairs,) [N], softening
+        [m]."""
+        limits = as_float64(step.garments.friction)[touching.sides].min(axis=1) * self.contact.forces(touching)
+        pairs = touching.corners, touching.weights, touching.normals, touching.carried
+        return x - as_float64(step.state.positions), *pairs, limits, self.smoothing * step.dt
 
 
 class _Barrier(torch.autograd.Function):
@@ -162,10 +147,8 @@ class _Barrier(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, step: TimeStep, contacts: ContactSet, term: ClothContact) -> Tensor:
-        assert contacts.cloth is not None
-        cloth, ctx.saved = contacts.cloth, (step, contacts, term, x)
-        values = _barrier(cloth.joined(x), *_law(cloth), term.stiffness)[0]
-        return _by_garment(step.garments, cloth.sides(len(x)), torch.from_numpy(values)).to(x)
+        ctx.saved = step, contacts, term, x
+        return term._added(step, contacts, x, gradient=False)[0]
 
     @staticmethod
     def backward(ctx: Any, slopes: Tensor) -> tuple[Tensor, None, None, None]:
@@ -174,14 +157,8 @@ class _Barrier(torch.autograd.Function):
         sides = torch.from_numpy(contacts.cloth.sides(len(x)))
         weights = 0.5 * slopes[step.garments.vertex_garment[sides]].sum(1)
         areas = contacts.cloth.areas * weights.numpy()
-        _, gradient = _barrier(contacts.cloth.joined(x), *_law(replace(contacts.cloth, areas=areas)), term.stiffness)
-        return torch.from_numpy(gradient[: len(x)]).to(x), None, None, None
-
-
-def _any_across(normals: np.ndarray) -> np.ndarray:
-    """A direction (pairs, 3) across each of the unit `normals` (pairs, 3)."""
-    smallest = np.eye(3)[np.abs(normals).argmin(axis=1)]
-    return np.cross(normals, smallest)
+        weighted = replace(contacts, cloth=replace(contacts.cloth, areas=areas))
+        return term._added(step, weighted, x)[1], None, None, None
 
 
 def _law(cloth: ClothPairs) -> tuple[np.ndarray, int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -196,7 +173,7 @@ def _by_garment(garments: PackedGarments, sides: np.ndarray, values: Tensor) -> 
 
 
 @compiled
-def _barrier(
+def _add_barrier(
     vertices: np.ndarray,
     corners: np.ndarray,
     vertex_faces: int,
@@ -205,9 +182,15 @@ def _barrier(
     areas: np.ndarray,
     parallels: np.ndarray,
     stiffness: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Energies (pairs,) [J] and gradient (vertices, 3) [N] of the barriers; infinite where a gap is not kept."""
-    energies, gradient = np.zeros(len(corners)), np.zeros_like(vertices)
+    owners: np.ndarray,
+    energies: np.ndarray,
+    gradient: np.ndarray,
+) -> None:
+    """Add energies (garments,) [J] and gradient (vertices, 3) [N] of the barriers; infinite where a gap is not kept.
+
+    Half of a pair's energy is for each of the `owners` (vertices,) of its sides. The gradient may have no rows.
+    """
+    values = np.zeros(len(corners))
     points, slopes, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
     for pair in range(len(corners)):
         gather(vertices, corners[pair], points)
@@ -217,17 +200,114 @@ def _barrier(
         room = reaches[pair] - gaps[pair]
         s = (distance - gaps[pair]) / room
         if not s > 0.0:
-            energies[pair] = np.inf
+            values[pair] = np.inf
             continue
         across = crossing_share(points, parallels[pair], slopes)
         full = -stiffness * areas[pair] * room * (1.0 - s) ** 2 * np.log(s)
-        energies[pair] = across * full
+        values[pair] = across * full
         slope = across * stiffness * areas[pair] * (2.0 * (1.0 - s) * np.log(s) - (1.0 - s) ** 2 / s)
         for corner in range(4):
+            vertex = corners[pair, corner]
+            if vertex >= len(gradient):
+                continue
             for axis in range(3):
                 force = slope * weights[corner] * between[axis] / distance + full * slopes[corner, axis]
-                gradient[corners[pair, corner], axis] += force
-    return energies, gradient
+                gradient[vertex, axis] += force
+    for side in range(2):
+        for pair in range(len(corners)):
+            vertex, other = corners[pair, 2 * side], corners[pair, 2 - 2 * side]
+            energies[owners[vertex if vertex < len(owners) else other]] += 0.5 * values[pair]
+
+
+@compiled
+def _slip_of(
+    moves: np.ndarray, corners: np.ndarray, weights: np.ndarray, normals: np.ndarray, carried: np.ndarray, pair: int
+) -> tuple[float, float, float]:
+    """Slip [m] of the nearest points of a pair over the step, along each axis, without its part along the normal."""
+    x, y, z = 0.0, 0.0, 0.0
+    for corner in range(4):
+        vertex, weight = corners[pair, corner], weights[pair, corner]
+        x += weight * moves[vertex, 0]
+        y += weight * moves[vertex, 1]
+        z += weight * moves[vertex, 2]
+    x, y, z = x + carried[pair, 0], y + carried[pair, 1], z + carried[pair, 2]
+    height = x * normals[pair, 0] + y * normals[pair, 1] + z * normals[pair, 2]
+    return x - height * normals[pair, 0], y - height * normals[pair, 1], z - height * normals[pair, 2]
+
+
+@compiled
+def _add_friction(
+    sides: np.ndarray,
+    owners: np.ndarray,
+    energies: np.ndarray,
+    gradient: np.ndarray,
+    moves: np.ndarray,
+    corners: np.ndarray,
+    weights: np.ndarray,
+    normals: np.ndarray,
+    carried: np.ndarray,
+    limits: np.ndarray,
+    rest: float,
+) -> None:
+    """Add energies (garments,) [J] and gradient (vertices, 3) [N], or one without rows, of friction between pairs.
+
+    Half of a pair's energy is for each of the `owners` (vertices,) of its `sides` (pairs, 2).
+    """
+    values = np.empty(len(corners))
+    for pair in range(len(corners)):
+        x, y, z = _slip_of(moves, corners, weights, normals, carried, pair)
+        magnitude = np.sqrt(x * x + y * y + z * z + rest * rest)
+        values[pair] = limits[pair] * (magnitude - rest)
+        pull = limits[pair] / magnitude
+        for corner in range(4 if len(gradient) else 0):
+            vertex, weight = corners[pair, corner], weights[pair, corner]
+            gradient[vertex, 0] += weight * (pull * x)
+            gradient[vertex, 1] += weight * (pull * y)
+            gradient[vertex, 2] += weight * (pull * z)
+    for side in range(2):
+        for pair in range(len(corners)):
+            energies[owners[sides[pair, side]]] += 0.5 * values[pair]
+
+
+@compiled
+def _friction_rows(
+    softening: float,
+    moves: np.ndarray,
+    corners: np.ndarray,
+    weights: np.ndarray,
+    normals: np.ndarray,
+    carried: np.ndarray,
+    limits: np.ndarray,
+    rest: float,
+) -> np.ndarray:
+    """Rows (2 pairs, 4, 3) [(N/m)^0.5] of the stiffness of friction: along the slips, then across them.
+
+    With a share of the `softening` along the slip; the rest as in `_sliding`.
+    """
+    rows, along = np.empty((2 * len(corners), 4, 3)), np.empty(3)
+    for pair in range(len(corners)):
+        n = normals[pair]
+        along[0], along[1], along[2] = _slip_of(moves, corners, weights, normals, carried, pair)
+        length = np.sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2])
+        magnitude = np.sqrt(length * length + rest * rest)
+        stiffness = limits[pair] / magnitude
+        share = length / magnitude
+        if not length > 1e-12:
+            # Any direction across the normal.
+            least = int(np.argmin(np.abs(n)))
+            ahead, behind = (least + 1) % 3, (least + 2) % 3
+            along[least], along[ahead], along[behind] = 0.0, n[behind], -n[ahead]
+            length = np.sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2])
+        for axis in range(3):
+            along[axis] /= length
+        first, second = np.sqrt(stiffness * (1.0 - softening * (share * share))), np.sqrt(stiffness)
+        for axis in range(3):
+            ahead, behind = (axis + 1) % 3, (axis + 2) % 3
+            across = n[ahead] * along[behind] - n[behind] * along[ahead]
+            for corner in range(4):
+                rows[pair, corner, axis] = weights[pair, corner] * (first * along[axis])
+                rows[len(corners) + pair, corner, axis] = weights[pair, corner] * (second * across)
+    return rows
 
 
 @compiled

@@ -100,6 +100,7 @@ class Collision(EnergyTerm):
 
     def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
         garments, weight = step.garments, as_float64(self._vertex_weight(step))
+        every, owners = each_vertex(garments).numpy(), garments.vertex_garment.numpy()
         ground = []
         if step.environment.ground is not None:
             up = np.tile(UP, (len(weight), 1))
@@ -108,7 +109,8 @@ class Collision(EnergyTerm):
         @lru_cache(maxsize=2)  # a Newton step compares several places with the same planes
         def record(planes: ContactPlanes) -> Record:
             points, normals = as_float64(planes.points), as_float64(planes.normals)
-            return vertex_record(garments, weight * planes.touchable.numpy(), self.clearance, points, normals)
+            numbers = _plane_numbers(weight, planes.touchable.numpy(), self.clearance, points, normals)
+            return Record(every, owners, numbers)
 
         def records(at: ContactSet) -> Sequence[Record]:
             return [*(record(planes) for planes in (at.next, at.opposite) if planes is not None), *ground]
@@ -134,6 +136,19 @@ class Collision(EnergyTerm):
                 yield torch.where(planes.touchable, depth, 0.0)
         if step.environment.ground is not None:
             yield (self.clearance - (x[:, 1] - step.environment.ground)).clamp_min(0.0)
+
+
+@compiled
+def _plane_numbers(
+    weight: np.ndarray, touchable: np.ndarray, clearance: float, points: np.ndarray, normals: np.ndarray
+) -> np.ndarray:
+    """Numbers (vertices, 8) that `_vertex` reads of vertices with one plane each."""
+    numbers = np.empty((len(weight), 8))
+    for row in range(len(weight)):
+        numbers[row, 0], numbers[row, 1] = weight[row] * touchable[row], clearance
+        for axis in range(3):
+            numbers[row, 2 + axis], numbers[row, 5 + axis] = points[row, axis], normals[row, axis]
+    return numbers
 
 
 def _tangent(x: np.ndarray, planes: np.ndarray, free: np.ndarray, bearing: np.ndarray, slots: np.ndarray) -> Tangent:

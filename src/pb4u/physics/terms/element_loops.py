@@ -136,5 +136,9 @@ def rows(count: int, *columns: np.ndarray | float) -> np.ndarray:
         count: number of rows.
         columns: (count,) or (count, columns) of any unit, or one for all rows.
     """
-    parts = [np.broadcast_to(np.asarray(part), (count,))[:, None] if np.ndim(part) < 2 else part for part in columns]
-    return np.concatenate(parts, axis=1, dtype=np.float64)
+    widths = [1 if np.ndim(part) < 2 else np.shape(part)[1] for part in columns]
+    numbers, first = np.empty((count, sum(widths))), 0
+    for part, width in zip(columns, widths, strict=True):
+        numbers[:, first : first + width] = np.reshape(part, (-1, width))
+        first += width
+    return numbers

@@ -38,10 +38,12 @@ class EnergyTerm(ABC):
     Attributes:
         name: by which results and tables refer to it.
         loops: its compiled loops; None for a term without: torch computes it everywhere.
+        reads_contacts: whether its `records` read the contacts at a step's start.
     """
 
     name: str
     loops: ClassVar[ElementLoops | None] = None
+    reads_contacts: ClassVar[bool] = True
 
     @abstractmethod
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
@@ -71,6 +73,35 @@ class EnergyTerm(ABC):
         """
         energies, pulled_back, *_ = torch.func.vjp(lambda at: self.energies(step, contacts, at), x.detach())
         return energies, pulled_back(torch.ones_like(energies))[0]
+
+    def add(
+        self, step: TimeStep, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray
+    ) -> None:
+        """Add the energies at `x`, and the gradient of their sum; not differentiable.
+
+        Args:
+            step: the time step, on a processor.
+            contacts: contacts of the step.
+            x: (vertices, 3) float64 [m] next positions.
+            energies: (garments,) [J], added to.
+            gradient: (vertices, 3) [N], added to; without rows where it is not asked for.
+        """
+        at = torch.from_numpy(x)
+        if len(gradient):
+            found, slope = self.energies_and_gradient(step, contacts, at)
+            gradient += as_float64(slope)
+        else:
+            found = self.energies(step, contacts, at)
+        energies += as_float64(found)
+
+    def _added(
+        self, step: TimeStep, contacts: ContactSet, x: Tensor, *, gradient: bool = True
+    ) -> tuple[Tensor, Tensor]:
+        """Energies (garments,) [J] and the gradient (vertices, 3) [N] of a term that has an `add` of its own."""
+        energies = np.zeros(step.garments.garment_count)
+        slope = np.zeros((len(x) if gradient else 0, 3))
+        self.add(step, contacts, as_float64(x), energies, slope)
+        return torch.from_numpy(energies).to(x.dtype), torch.from_numpy(slope).to(x.dtype)
 
     def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor | None:
         """Vertices (elements, corners) int64 that the term couples; None where its second derivative is zero.
@@ -139,25 +170,31 @@ class CompiledTerm(EnergyTerm):
 
     @cached_property
     def _records_at(self) -> Callable[[ContactSet], Sequence[Record]]:
-        return self.term.records(*self._made_for)
+        step, contacts = self._made_for
+        if self.term.reads_contacts:
+            return self.term.records(step, contacts)
+        # Several potentials of one step, as those of its start and of its end, have such a term in common.
+        if self.term not in step.records:
+            step.records[self.term] = self.term.records(step, contacts)
+        return step.records[self.term]
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         if not x.requires_grad:
-            return self._evaluated(step, contacts, x, 0)[0]
+            return self._added(step, contacts, x, gradient=False)[0]
         energies: Tensor = _KnownGradient.apply(x, self, step, contacts)  # type: ignore[no-untyped-call]
         return energies
 
     def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        return self._evaluated(step, contacts, x, len(x))
+        return self._added(step, contacts, x)
 
     def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor | None:
         return self.term.elements(step, contacts)
 
-    def _evaluated(self, step: TimeStep, contacts: ContactSet, x: Tensor, rows: int) -> tuple[Tensor, Tensor]:
-        energies, gradient, at = np.zeros(step.garments.garment_count), np.zeros((rows, 3)), as_float64(x)
+    def add(
+        self, step: TimeStep, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray
+    ) -> None:
         for record in self._records_at(contacts):
-            self._loops.add(at, *record, energies, gradient)
-        return torch.from_numpy(energies).to(x.dtype), torch.from_numpy(gradient).to(x.dtype)
+            self._loops.add(x, *record, energies, gradient)
 
     def add_stiffness(self, contacts: ContactSet, x: np.ndarray, slots: np.ndarray, stiffness: Stiffness) -> None:
         """Add the second derivative, or one near it.

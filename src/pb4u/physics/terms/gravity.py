@@ -41,6 +41,7 @@ class Gravity(EnergyTerm):
 
     name = "gravity"
     loops = element_loops(_vertex, 1)
+    reads_contacts = False
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         garments = step.garments

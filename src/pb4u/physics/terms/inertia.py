@@ -46,6 +46,7 @@ class Inertia(EnergyTerm):
 
     name = "inertia"
     loops = element_loops(_vertex, 1)
+    reads_contacts = False
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         garments = step.garments

@@ -94,7 +94,11 @@ class Stiffness:
     compressive: np.ndarray
 
     def matrix(
-        self, share: float = 0.0, extra: np.ndarray | None = None, precision: type[np.floating] = np.float64
+        self,
+        share: float = 0.0,
+        extra: np.ndarray | None = None,
+        precision: type[np.floating] = np.float64,
+        before: SymmetricBlocks | None = None,
     ) -> SymmetricBlocks:
         """The matrix with a `share` of the compressive part and `extra` (vertices,) [N/m] on its diagonal.
 
@@ -102,14 +106,21 @@ class Stiffness:
             share: of the compressive part.
             extra: (vertices,) [N/m].
             precision: data type that the sums are rounded to.
+            before: the same, made when no more than the positive part's diagonal blocks was other; changed. None for
+                none.
         """
+        own = self.pattern.starts[:-1]
+        if before is not None:
+            shift = share * self.compressive[own]
+            _shift(self.positive, shift if extra is None else shift + extra, before.blocks, own)
+            return before
         blocks = self.positive
         if share or extra is not None or precision is not np.float64:
             shift = share * self.compressive
             if extra is not None:
-                shift[self.pattern.starts[:-1]] += extra
+                shift[own] += extra
             blocks = np.empty(blocks.shape, precision)
-            _shift(self.positive, shift, blocks)
+            _shift(self.positive, shift, blocks, np.arange(len(blocks)))
         return SymmetricBlocks(self.pattern.starts, self.pattern.columns, blocks)
 
 
@@ -157,12 +168,13 @@ def _pair_keys(elements: Tensor, count: int) -> Tensor:
 
 
 @compiled_with_fused_products
-def _shift(blocks: np.ndarray, shift: np.ndarray, result: np.ndarray) -> None:
-    """Fill `result` with the `blocks` (blocks, 3, 3), multiples `shift` (blocks,) of the identity added."""
-    for block in range(len(blocks)):
+def _shift(blocks: np.ndarray, shift: np.ndarray, result: np.ndarray, chosen: np.ndarray) -> None:
+    """Fill the `chosen` of `result` with `blocks` (blocks, 3, 3) and multiples `shift` (chosen,) of the identity."""
+    for row in range(len(chosen)):
+        block = chosen[row]
         for i in range(3):
             for j in range(3):
-                result[block, i, j] = blocks[block, i, j] + (shift[block] if i == j else 0.0)
+                result[block, i, j] = blocks[block, i, j] + (shift[row] if i == j else 0.0)
 
 
 @compiled_with_fused_products

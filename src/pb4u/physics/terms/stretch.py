@@ -112,6 +112,7 @@ class Stretch(EnergyTerm):
 
     name = "stretch"
     loops = element_loops(_face, 3)
+    reads_contacts = False
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         garments = step.garments
