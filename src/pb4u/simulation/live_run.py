@@ -6,6 +6,8 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
+
 from pb4u.garment.material import Material
 from pb4u.physics.time_step import require_finite
 from pb4u.scene.packed import PackedGarments
@@ -30,7 +32,7 @@ class LiveRun:
     """
 
     def __init__(self, simulator: StepwiseSimulator, scene: Scene, record: RunRecord) -> None:
-        self._simulator, self._record, self.scene = simulator, record, scene
+        self._simulator, self.record, self.scene = simulator, record, scene
         self._timeline = simulator.timeline(scene)
         self._method = simulator.method(self._timeline, record)
         self._begun: Iterator[Taken] = simulator.first_frame.states(self._timeline, self._method)
@@ -47,6 +49,14 @@ class LiveRun:
     def feels(self) -> bool:
         """Whether cloth feels a hand and wind: where the solver takes part."""
         return self._method.refinement is not None
+
+    def body(self, frame: int) -> np.ndarray:
+        """Body vertices (vertices, 3) [m] at a frame.
+
+        Args:
+            frame: number of the frame, lead-in included.
+        """
+        return self._timeline.body(frame).numpy()
 
     @property
     def header(self) -> TrajectoryHeader:
@@ -94,7 +104,7 @@ class LiveRun:
                 # As it is shown: moved off the skin, as far as cloth can go there.
                 pose = self._timeline.pose(state.frame).apart()
                 state = cloth.present(self._timeline.garments, state, pose, self._method.self_contact)
-        self._record.step_seconds.append(time.perf_counter() - began)
+        self.record.step_seconds.append(time.perf_counter() - began)
         return written_frame(self.scene, state) if state.frame >= self.scene.lead_in else None
 
     def go_back(self, number: int) -> None:
@@ -118,6 +128,6 @@ class LiveRun:
         worn[number] = replace(worn[number], garment=worn[number].garment.with_material(material))
         self.scene = replace(self.scene, garments=tuple(worn))
         self._timeline = self._timeline.with_garments([each.garment for each in worn])
-        self._method = self._simulator.method(self._timeline, self._record)
+        self._method = self._simulator.method(self._timeline, self.record)
 
 

@@ -139,6 +139,11 @@ class StepwiseSimulator(Simulator):
         touched = self.contact is not None or (cloth is not None and cloth.feels_bodies)
         return Timeline.of_worlds(scenes, opens_folds=touched, integrator=self.integrator)
 
+    @property
+    def on_card(self) -> bool:
+        """Whether all of a step is computed on an accelerator."""
+        return False
+
     def after(
         self, taken: Taken, timeline: Timeline, method: StepMethod, scene: Scene, touch: Touch | None = None
     ) -> Taken:
