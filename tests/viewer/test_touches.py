@@ -129,9 +129,7 @@ def test_another_fabric_has_its_own_colour_and_is_noted() -> None:
 
 def test_slow_motion_takes_its_time() -> None:
     times: list[float] = []
-    made = LiveSimulation(
-        SKIRT, lambda *_: times.append(time.monotonic()), lambda *_: None, speed=lambda: 1.0 / 12.0
-    )
+    made = LiveSimulation(SKIRT, lambda *_: times.append(time.monotonic()), lambda *_: None, speed=lambda: 1.0 / 12.0)
     run_to_its_end(made)
     assert times[3] - times[1] > 0.6  # two frames at 30 a second, twelve times as long
 

@@ -129,5 +129,3 @@ class LiveRun:
         self.scene = replace(self.scene, garments=tuple(worn))
         self._timeline = self._timeline.with_garments([each.garment for each in worn])
         self._method = self._simulator.method(self._timeline, self.record)
-
-

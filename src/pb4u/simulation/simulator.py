@@ -235,8 +235,10 @@ def written_frame(scene: Scene, state: State) -> Frame:
         scene: garments and bodies.
         state: of the garments, and the number of the frame.
     """
-    cloth = (values.detach().cpu().numpy().astype(np.float32) for values in (state.positions, state.velocities))
-    return Frame(*cloth, _body_positions(scene, min(state.frame, scene.total_frames - 1)))
+    positions, velocities = (
+        values.detach().cpu().numpy().astype(np.float32) for values in (state.positions, state.velocities)
+    )
+    return Frame(positions, velocities, _body_positions(scene, min(state.frame, scene.total_frames - 1)))
 
 
 def _body_positions(scene: Scene, frame: int) -> np.ndarray:

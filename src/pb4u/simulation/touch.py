@@ -13,7 +13,7 @@ from pb4u.physics.time_step import Pull, TimeStep
 from pb4u.scene.packed import PackedGarments
 
 GRIP = 0.02
-"""Distance [m] at rest within which fingers hold the cloth around a point."""
+"""Distance [m] at rest within which fingers hold the cloth around a point; at least the mean edge of its mesh."""
 
 FIRMNESS = 250.0
 """Stiffness [N/m] of the springs of a hand, all together: the weight of a shirt draws it away by less than 1 cm."""
@@ -48,7 +48,8 @@ class Hand:
         """
         nearest = int((positions - positions.new_tensor(finite(point))).norm(dim=1).argmin())
         rest = garments.rest_positions
-        near = (rest - rest[nearest]).norm(dim=1) < GRIP
+        within = max(GRIP, float(garments.vertex_edge_lengths[nearest]))
+        near = (rest - rest[nearest]).norm(dim=1) < within
         near &= garments.vertex_garment == garments.vertex_garment[nearest]
         near[nearest] = False
         rows = torch.nonzero(near)[:, 0]

@@ -58,7 +58,8 @@ class BrowserWindow:
         self._lock = threading.RLock()
         self._camera_due = False
         self._film: Film | None = None
-        self._uploads = Uploads()
+        #: Files of the user's own.
+        self.uploads = Uploads()
         bound_uploads(client.gui, self.say)
         self._wake, self._closed = threading.Event(), threading.Event()
         # Of the thread of the page alone.
@@ -125,36 +126,14 @@ class BrowserWindow:
             self._camera_due = True
         self._wake.set()
 
-    def keep(self, kind: str, name: str, content: bytes) -> str:
-        """Keep a file of the user's own; its name from now on.
-
-        Args:
-            kind: one of `pb4u.viewer.uploads.KINDS`.
-            name: of the file.
-            content: all of its bytes.
-
-        Raises:
-            InputError: it cannot be used.
-        """
-        return self._uploads.keep(kind, name, content)
-
-    def find(self, kind: str, name: str) -> Path | None:
-        """The file of that kind and name that the user handed over; None where there is none.
-
-        Args:
-            kind: "garment", "body" or "motion".
-            name: its name.
-        """
-        return self._uploads.find(kind, name)
-
     def save_scene(self, run: Run) -> str:
         """Hand the user a scene file, packed with the files it names; returns a sentence that says so.
 
         Args:
             run: what it describes.
         """
-        require_offered(run, self._uploads.files)
-        name, content = pack_scene(run, self._uploads.folder)
+        require_offered(run, self.uploads.files)
+        name, content = pack_scene(run, self.uploads.folder)
         self._client.send_file_download(name, content, save_immediately=True)
         return f"{name} was handed to the browser; run it with `pb4u simulate scene.toml`."
 
@@ -192,14 +171,12 @@ class BrowserWindow:
         Raises:
             InputError: another one runs, or the page does not offer what is requested.
         """
-        require_offered(run, self._uploads.files)
+        require_offered(run, self.uploads.files)
         with self._lock:
             if self.simulation is not None and self.simulation.running:
                 raise InputError("A simulation is running in this window; cancel it first.")
             self.touches.begin()
-            self._begin(
-                LiveSimulation(run, self._advanced, self._ended, self._uploads.files, self._speed, self.touches)
-            )
+            self._begin(LiveSimulation(run, self._advanced, self._ended, self.uploads.files, self._speed, self.touches))
 
     def go_on(self) -> None:
         """Simulate on from the frame that is shown.
@@ -289,8 +266,7 @@ class BrowserWindow:
                 if self.state.clips != (clip,):
                     goes_on, newest = bool(self.state.clips) and self.state.clips[0].label == clip.label, True
                     self._load((clip,), camera=not goes_on)
-                    if simulation is not None and simulation.live is not None:
-                        self.touch_panel.offer(simulation.live.scene)
+                    self.touch_panel.offer(None if simulation is None else simulation.live)
                 self.state.touchable = simulation is not None and simulation.can_be_touched
                 self.state.grow()
                 if newest:
@@ -353,7 +329,7 @@ class BrowserWindow:
         until = time.monotonic() + timeout
         self._thread.join(max(until - time.monotonic(), 0.0))
         ended = [worker.join(max(until - time.monotonic(), 0.0)) for worker in workers]
-        self._uploads.close()
+        self.uploads.close()
         return all(ended) and not self._thread.is_alive()
 
     def _run(self) -> None:

@@ -114,7 +114,8 @@ class GrowingClip(Clip):
         )
         room = Trajectory(header, garment, np.empty_like(garment), body)
         super().__init__(label, room, room)
-        self._count, self._notes = count, () if before is None else before._notes
+        self._count = count
+        self._notes: tuple[str, ...] = () if before is None else before._notes
         for own, its in zip(self._values, () if before is None else before._values, strict=False):
             own[:count] = its[:count]
 

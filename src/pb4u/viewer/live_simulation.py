@@ -139,9 +139,7 @@ class LiveSimulation(Worker):
             raise InputError("Nothing is simulated that could go on; simulate something first.")
         if frame >= self._live.scene.frames - 1 and not self.touches.endless:
             raise InputError("This is the last frame; choose an earlier one, or let it go on after the last frame.")
-        other = LiveSimulation(
-            self._specification, self._advanced, self._ended, self._files, self._speed, self.touches
-        )
+        other = LiveSimulation(self._specification, self._advanced, self._ended, self._files, self._speed, self.touches)
         other._clip, other._live, other._frames = self._clip, self._live, self._frames
         self.touches.go_back(frame)
         return other

@@ -1,15 +1,20 @@
-"""Panel of what is done to the cloth while it is simulated: wind, fabric, going on; how it is pulled stands there too."""
+"""Panel of what is done to the cloth while it is simulated: wind, fabric, and from where it goes on."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from pb4u.garment.material import material_names
-from pb4u.scene.scene import Scene
+from pb4u.simulation.live_run import LiveRun
 from pb4u.viewer.panel import Panel, Tone, notice
 from pb4u.viewer.touches import MOST_FRAMES, STRONGEST_WIND
 
 _AS_IT_IS = "as it is"
+
+_UNFELT = (
+    "This model feels neither hand nor wind: choose solver or quick-solver, or a network with refining iterations."
+)
 
 
 class TouchPanel(Panel):
@@ -41,13 +46,16 @@ class TouchPanel(Panel):
         self._endless.on_update(self._answer(self._set_end))
         go_on.on_click(self._answer(self._window.go_on))
 
-    def offer(self, scene: Scene) -> None:
-        """Offer the fabrics of the garments of a scene, where they are not offered yet.
+    def offer(self, live: LiveRun | None) -> None:
+        """Offer the fabrics of the garments of a run, and say what its cloth does not feel.
 
         Args:
-            scene: garments and bodies.
+            live: that began; None where no step of it can be touched.
         """
-        names = [f"{n + 1}: {worn.garment.name}" for n, worn in enumerate(scene.garments)]
+        feels = live is not None and live.feels
+        self._status.content = "" if feels else notice(_UNFELT, Tone.warning)
+        worn = [] if live is None else [each.garment.name for each in live.scene.garments]
+        names = [f"{number}: {name}" for number, name in enumerate(worn, 1)]
         if [control.label for control in self._fabrics] == names:
             return
         for control in self._fabrics:
@@ -55,7 +63,7 @@ class TouchPanel(Panel):
         with self._place:
             self._fabrics = [self._gui.add_dropdown(name, (_AS_IT_IS, *material_names())) for name in names]
         for number, control in enumerate(self._fabrics):
-            control.on_update(self._answer(lambda number=number, control=control: self._dress(number, control.value)))
+            control.on_update(self._answer(partial(self._dress, number, control)))
 
     def _blow(self) -> None:
         self._window.touches.blow(self._speed.value, self._degrees.value, self._gusts.value)
@@ -63,7 +71,8 @@ class TouchPanel(Panel):
     def _set_end(self) -> None:
         self._window.touches.endless = bool(self._endless.value)
 
-    def _dress(self, number: int, name: str) -> None:
+    def _dress(self, number: int, control: Any) -> None:
+        name = control.value
         if name != _AS_IT_IS:
             self._window.touches.dress(number, name)
             self._status.content = notice(f"Made of {name} from the next step on.", Tone.good)
