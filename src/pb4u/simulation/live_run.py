@@ -23,7 +23,8 @@ from pb4u.simulation.touch import Touch
 class LiveRun:
     """A run of a scene whose next frame is computed when it is asked for. One thread alone works with it.
 
-    Untouched, its frames are those of `Simulator.rollout`, to the bit; after it was taken back, to the solver's tolerance.
+    Untouched, its frames are those of `Simulator.rollout`, to the bit. After it was taken back they are within the
+    solver's tolerance, since the solver keeps its preconditioner from step to step.
 
     Args:
         simulator: takes the steps, on a processor.
