@@ -91,12 +91,12 @@ def test_a_hand_holds_what_is_near_at_rest_and_pulls_no_harder_than_a_person() -
     before = advance(run, 1)
     hand = hand_at(run, tuple(before[0]), (0.0, 50.0, 0.0))
     away = np.linalg.norm(curtain().vertices - curtain().vertices[int(hand.vertices[0])], axis=1)
-    assert sorted(hand.vertices.tolist()) == np.flatnonzero(away < curtain().mean_edge_length).tolist()
+    assert sorted(hand.vertices.tolist()) == np.flatnonzero(away < 1.5 * curtain().mean_edge_length).tolist()
     assert len(hand.vertices) > 2
     assert curtain().mean_edge_length > GRIP
     pull = hand.pull(run.written(0).positions)
     forces = pull.stiffness * (pull.places - run.written(0).positions[hand.vertices])
-    assert float(forces.sum(0).norm()) == pytest.approx(20.0)
+    assert float(forces.sum(0).norm()) == pytest.approx(30.0)
 
 
 def test_a_wind_begins_and_ends_between_two_steps() -> None:

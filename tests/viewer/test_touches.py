@@ -186,3 +186,13 @@ def test_a_mouse_pulls_while_it_is_simulated_and_the_page_follows_the_newest_fra
     window.cancel()
     until(lambda: not window.simulation.running)
     assert not window.state.touchable
+    assert window.touch_panel._unfelt.visible is False
+    assert [call.args[0] for call in window._client.gui.add_dropdown.call_args_list].count("1: skirt") == 1
+
+
+def test_what_feels_no_hand_says_so(window: BrowserWindow) -> None:
+    window.simulate(replace(SKIRT, model="skinning"))
+    until(lambda: window.simulation and not window.simulation.running)
+    assert window.touch_panel._unfelt.visible is True
+    with pytest.raises(InputError, match="Nothing is simulated that could go on"):
+        window.go_on()

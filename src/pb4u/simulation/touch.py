@@ -13,13 +13,16 @@ from pb4u.physics.time_step import Pull, TimeStep
 from pb4u.scene.packed import PackedGarments
 
 GRIP = 0.02
-"""Distance [m] at rest within which fingers hold the cloth around a point; at least the mean edge of its mesh."""
+"""Distance [m] at rest within which fingers hold the cloth around a point; on a coarse mesh a vertex and those around it."""
+
+_RING = 1.5
+"""Mean edge lengths within which nearly all neighbours of a vertex lie, and few others."""
 
 FIRMNESS = 250.0
 """Stiffness [N/m] of the springs of a hand, all together: the weight of a shirt draws it away by less than 1 cm."""
 
-REACH = 0.08
-"""How far [m] ahead of the cloth a hand draws: at most 20 N, as one pulls at what one wears."""
+REACH = 0.12
+"""How far [m] ahead of the cloth a hand draws: at most 30 N, as one pulls hard at what one wears."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +51,7 @@ class Hand:
         """
         nearest = int((positions - positions.new_tensor(finite(point))).norm(dim=1).argmin())
         rest = garments.rest_positions
-        within = max(GRIP, float(garments.vertex_edge_lengths[nearest]))
+        within = max(GRIP, _RING * float(garments.vertex_edge_lengths[nearest]))
         near = (rest - rest[nearest]).norm(dim=1) < within
         near &= garments.vertex_garment == garments.vertex_garment[nearest]
         near[nearest] = False

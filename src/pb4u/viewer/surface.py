@@ -93,7 +93,8 @@ class PlainSurface(Surface):
             self._mesh = self._scene.add_mesh_simple(
                 self._name, positions, self._faces, color=(red, green, blue), side="double", wireframe=self._wireframe
             )
-            self.on_drag(self._dragged)
+            if self._dragged is not None:
+                self.on_drag(self._dragged)
         else:
             self._mesh.vertices = positions
             self._mesh.visible = True
@@ -192,7 +193,8 @@ class PaintedSurface(Surface):
         data, turn = coloured_glb(positions, colours, self._faces), self._sent % self._TURNS
         if turn == len(self._nodes):
             self._nodes.append(self._scene.add_glb(f"{self._name}/{turn}", data, visible=False))
-            _listen(self._nodes[-1], self._dragged)
+            if self._dragged is not None:
+                _listen(self._nodes[-1], self._dragged)
         else:
             self._nodes[turn].glb_data = data
         self._sent += 1

@@ -28,6 +28,8 @@ class TouchPanel(Panel):
                 "let it go. Drag beside the cloth to turn the view. Speed, above, slows it down."
             )
         )
+        self._offered: LiveRun | None = None
+        self._unfelt = gui.add_html(notice(_UNFELT, Tone.warning), visible=False)
         self._speed = gui.add_slider("Wind [m/s]", 0.0, STRONGEST_WIND, 0.5, 0.0)
         self._degrees = gui.add_slider(
             "Wind from [deg]", 0.0, 345.0, 15.0, 0.0,
@@ -39,7 +41,9 @@ class TouchPanel(Panel):
         self._endless = gui.add_checkbox(
             "Go on after the last frame", False, hint=f"The body stands then; to {MOST_FRAMES} frames in all."
         )
-        go_on = gui.add_button("Go on from this frame", hint="What comes after the frame that is shown is made anew.")
+        go_on = gui.add_button(
+            "Go on from this frame", hint="What comes after the frame that is shown is simulated again."
+        )
         self._status = gui.add_html("")
         for control in (self._speed, self._degrees, self._gusts):
             control.on_update(self._answer(self._blow))
@@ -52,12 +56,12 @@ class TouchPanel(Panel):
         Args:
             live: that began; None where no step of it can be touched.
         """
-        feels = live is not None and live.feels
-        self._status.content = "" if feels else notice(_UNFELT, Tone.warning)
+        if live is self._offered and live is not None:
+            return
+        self._offered = live
+        self._unfelt.visible = live is None or not live.feels
         worn = [] if live is None else [each.garment.name for each in live.scene.garments]
         names = [f"{number}: {name}" for number, name in enumerate(worn, 1)]
-        if [control.label for control in self._fabrics] == names:
-            return
         for control in self._fabrics:
             control.remove()
         with self._place:
