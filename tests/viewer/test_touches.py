@@ -154,6 +154,7 @@ def test_what_a_page_may_not_do_is_refused(do: Callable[[Touches], None], says: 
 def window() -> Iterator[BrowserWindow]:
     client = MagicMock()
     client.camera.image_height = 0
+    client.gui.add_html.side_effect = lambda *_, **__: MagicMock()
     made = BrowserWindow(client, ())
     yield made
     assert made.close(timeout=20.0)
