@@ -13,7 +13,7 @@ from pb4u.physics.time_step import Pull, TimeStep
 from pb4u.scene.packed import PackedGarments
 
 GRIP = 0.02
-"""Distance [m] at rest within which fingers hold the cloth around a point; on a coarse mesh they hold its neighbours."""
+"""Distance [m] at rest within which fingers hold the cloth around a point; on a coarse mesh, its neighbours."""
 
 _RING = 1.5
 """Mean edge lengths within which nearly all neighbours of a vertex lie, and few others."""
