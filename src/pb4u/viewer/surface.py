@@ -56,7 +56,7 @@ class Surface(ABC):
         """Take it out of the scene."""
 
 
-def _listen(node: MeshHandle | GlbHandle, dragged: Dragged | None) -> None:
+def _listen(node: MeshHandle, dragged: Dragged | None) -> None:
     node.remove_drag_callback()
     if dragged is not None:
 
@@ -186,15 +186,12 @@ class PaintedSurface(Surface):
         self._scene, self._name, self._faces = scene, name, faces
         self._nodes: list[GlbHandle] = []
         self._sent = 0
-        self._dragged: Dragged | None = None
 
     def show(self, positions: np.ndarray, colours: np.ndarray | None) -> bool:
         assert colours is not None
         data, turn = coloured_glb(positions, colours, self._faces), self._sent % self._TURNS
         if turn == len(self._nodes):
             self._nodes.append(self._scene.add_glb(f"{self._name}/{turn}", data, visible=False))
-            if self._dragged is not None:
-                _listen(self._nodes[-1], self._dragged)
         else:
             self._nodes[turn].glb_data = data
         self._sent += 1
@@ -206,9 +203,11 @@ class PaintedSurface(Surface):
             node.visible = turn == shown
 
     def on_drag(self, dragged: Dragged | None) -> None:
-        self._dragged = dragged
-        for node in self._nodes:
-            _listen(node, dragged)
+        """Nothing: the browser ends a drag where its mesh is hidden, as each of these is in its turn.
+
+        Args:
+            dragged: never called.
+        """
 
     def remove(self) -> None:
         for node in self._nodes:

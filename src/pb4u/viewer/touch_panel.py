@@ -25,7 +25,8 @@ class TouchPanel(Panel):
         gui.add_html(
             notice(
                 "While cloth is simulated, drag it with the left mouse button to pull at it; let go of the button to "
-                "let it go. Drag beside the cloth to turn the view. Speed, above, slows it down."
+                "let it go. Drag beside the cloth to turn the view. Painted cloth cannot be dragged. Speed, above, "
+                "slows it down."
             )
         )
         self._offered: LiveRun | None = None
