@@ -104,7 +104,7 @@ class IncrementalPotential:
         feels_bodies = self.self_contact is not None and self.self_contact.feels_bodies
         if feels_bodies and contacts.now is not None and step.sags is not None:
             contacts = replace(contacts, now=contacts.now.raised(step.sags), raised=step.sags)
-        terms = tuple(term for term in self.terms if term.acts_on(step.garments))
+        terms = tuple(term for term in self.terms if term.acts_on(step))
         if step.is_on_a_processor:
             terms = tuple(term.compiled(step, contacts) for term in terms)
         return StepPotential(replace(self, terms=terms), step, contacts)

@@ -33,6 +33,21 @@ class DivergedError(Pb4uError):
 
 
 @dataclass(frozen=True, eq=False)
+class Pull:
+    """Springs that draw vertices to places over a step, as a hand that holds them does.
+
+    Args:
+        vertices: (held,) int64.
+        places: (held, 3) [m] where they are drawn to.
+        stiffness: of the spring of each [N/m].
+    """
+
+    vertices: Tensor
+    places: Tensor
+    stiffness: float
+
+
+@dataclass(frozen=True, eq=False)
 class TimeStep:
     """Everything known before the step from frame t to t+1.
 
@@ -47,6 +62,7 @@ class TimeStep:
         skinned_motion: (vertices, 3) [m] how far skinning moves each vertex over the step, or None.
         integrator: gives inertia, and the velocities and history of the state that the step leads to.
         time: since the simulation began [s], at frame t.
+        pull: what a hand does to the cloth, or None.
 
     Raises:
         InputError: a time step that is not positive, or shapes that do not match.
@@ -61,6 +77,7 @@ class TimeStep:
     skinned_motion: Tensor | None = None
     integrator: Integrator = IMPLICIT_EULER
     time: float = 0.0
+    pull: Pull | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.dt < float("inf"):
@@ -146,15 +163,19 @@ class TimeStep:
             count: number of parts.
             state: state at the end of the part before.
         """
-        pins, motion = self.pin_positions, self.skinned_motion
+        pins, motion, pull, share = self.pin_positions, self.skinned_motion, self.pull, (k + 1) / count
+        if pull is not None:
+            held = self.state.positions[pull.vertices]
+            pull = replace(pull, places=torch.lerp(held, pull.places, share))
         return replace(
             self,
             state=state,
-            collider=self.collider.between(k / count, (k + 1) / count),
+            collider=self.collider.between(k / count, share),
             dt=self.dt / count,
-            pin_positions=None if pins is None else torch.lerp(self.state.positions, pins, (k + 1) / count),
+            pin_positions=None if pins is None else torch.lerp(self.state.positions, pins, share),
             skinned_motion=None if motion is None else motion / count,
             time=self.time + k * self.dt / count,
+            pull=pull,
         )
 
     @property

@@ -188,6 +188,7 @@ def simulator_of(run: Run) -> Simulator:
     from pb4u.physics.terms.air import Air
     from pb4u.physics.terms.damping import DAMPING
     from pb4u.physics.terms.pin_springs import PinSprings
+    from pb4u.physics.terms.pull_springs import PullSprings
     from pb4u.simulation.first_frame import FIRST_FRAMES
     from pb4u.simulation.penetration_response import ContactResponse
     from pb4u.simulation.simulator import SkinningSimulator
@@ -199,7 +200,7 @@ def simulator_of(run: Run) -> Simulator:
     refuse_useless(run)
     laws = chosen_laws(run)
     potential = IncrementalPotential().with_friction(laws["friction_law"])
-    for term in (*DAMPING, PinSprings()):
+    for term in (*DAMPING, PinSprings(), PullSprings()):
         potential = potential.with_term(term)
     if laws["air"] == "on":
         potential = potential.with_term(Air())

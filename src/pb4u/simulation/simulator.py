@@ -132,11 +132,7 @@ class Simulator(ABC):
                 record.step_seconds.append(time.perf_counter() - began)
             progress(frame + 1, scene.total_frames)
             if frame >= scene.lead_in:
-                yield Frame(
-                    state.positions.detach().cpu().numpy().astype(np.float32),
-                    state.velocities.detach().cpu().numpy().astype(np.float32),
-                    _body_positions(scene, frame),
-                )
+                yield written_frame(scene, state)
 
     def simulate(self, scene: Scene, progress: Progress | None = None) -> Trajectory:
         """Simulate a scene in memory.
@@ -230,6 +226,19 @@ class SkinningSimulator(Simulator):
                 velocities = (positions - (positions if previous is None else previous)) / scene.dt
                 previous = positions
                 yield State(positions, velocities, start + offset)
+
+
+def written_frame(scene: Scene, state: State) -> Frame:
+    """The frame that a state is written as; beyond the last of the scene its bodies stay where they are then.
+
+    Args:
+        scene: garments and bodies.
+        state: of the garments, and the number of the frame.
+    """
+    positions, velocities = (
+        values.detach().cpu().numpy().astype(np.float32) for values in (state.positions, state.velocities)
+    )
+    return Frame(positions, velocities, _body_positions(scene, min(state.frame, scene.total_frames - 1)))
 
 
 def _body_positions(scene: Scene, frame: int) -> np.ndarray:

@@ -40,6 +40,7 @@ from pb4u.simulation.simulator import RunRecord, Simulator
 from pb4u.simulation.step import StepMethod, Taken, take
 from pb4u.simulation.step_start import BodyMotionWarmStart, start_of
 from pb4u.simulation.timeline import Timeline
+from pb4u.simulation.touch import Touch
 from pb4u.threads import prefetch
 
 
@@ -119,13 +120,9 @@ class StepwiseSimulator(Simulator):
     def _moved(self, timeline: Timeline, method: StepMethod, scene: Scene) -> Iterator[State]:
         for taken in self.first_frame.states(timeline, method):
             yield taken.state
-        if method.network is not None and method.refinement is not None:
-            # The solver alone leads to the same drape in half of the time; the network takes over with the first frame.
-            for led in self.steps(timeline, replace(method, network=None), taken, scene.led_frames):
-                taken = led
-                yield taken.state
-        for made in self.steps(timeline, method, taken, scene.total_frames):
-            yield made.state
+        while taken.state.frame + 1 < scene.total_frames:
+            taken = self.after(taken, timeline, method, scene)
+            yield taken.state
 
     def timeline(self, *scenes: Scene) -> Timeline:
         """Frames of scenes, each in a world of its own, on the device that takes their steps.
@@ -142,18 +139,28 @@ class StepwiseSimulator(Simulator):
         touched = self.contact is not None or (cloth is not None and cloth.feels_bodies)
         return Timeline.of_worlds(scenes, opens_folds=touched, integrator=self.integrator)
 
-    def steps(self, timeline: Timeline, method: StepMethod, taken: Taken, frames: int) -> Iterator[Taken]:
-        """States after that of `taken`, one a frame.
+    @property
+    def on_card(self) -> bool:
+        """Whether all of a step is computed on an accelerator."""
+        return False
+
+    def after(
+        self, taken: Taken, timeline: Timeline, method: StepMethod, scene: Scene, touch: Touch | None = None
+    ) -> Taken:
+        """The state after that of `taken`.
 
         Args:
+            taken: the frame before.
             timeline: garments and bodies.
-            method: takes the steps.
-            taken: the last frame that was made in a way of its own.
-            frames: total number of frames.
+            method: takes the step.
+            scene: says which frames lead into the motion.
+            touch: what is done to the cloth from outside, or None.
         """
-        for _ in range(taken.state.frame + 1, frames):
-            taken = take(timeline.step_from(taken.state), method, taken.last_move)
-            yield taken
+        if method.refinement is not None and taken.state.frame + 1 < scene.led_frames:
+            # The solver alone leads to the same drape in half of the time; the network takes over with the first frame.
+            method = replace(method, network=None)
+        step = timeline.step_from(taken.state)
+        return take(step if touch is None else touch.on(step), method, taken.last_move)
 
 
 @dataclass(eq=False)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pb4u.collision.rooms import Rooms
 from pb4u.environment import Environment
+from pb4u.garment.garment import Garment
 from pb4u.physics.integrator import IMPLICIT_EULER, Integrator
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.colliders import ColliderFrame, ColliderPose, PackedColliders, pack_colliders
@@ -144,6 +145,19 @@ class Timeline:
         body = frames([(world, (SoftFolds(body) if opens_folds else body).positions) for world, body in bodies])
         skinned = frames([(world, each.placement.positions) for world, each in worn])
         return Timeline(garments, colliders, body, skinned, scenes[0].dt, scenes[0].environment, integrator)
+
+    def with_garments(self, garments: Sequence[Garment]) -> Timeline:
+        """This timeline with the same garments of other materials.
+
+        Args:
+            garments: one for each of its own, in their order.
+        """
+        own = self.garments
+        packed = pack(garments, own.dtype, own.device, own.worlds)
+        around = self.dt, self.environment, self.integrator
+        other = Timeline(packed, self.colliders, self._body, self._skinned, *around)
+        other._poses = self._poses
+        return other
 
     def to(self, device: torch.device, rooms: Rooms) -> Timeline:
         """This timeline with all that a step reads on `device`.

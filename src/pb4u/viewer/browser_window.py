@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -18,6 +19,8 @@ from pb4u.viewer.live_simulation import Ending, LiveSimulation, require_offered
 from pb4u.viewer.panel import Tone, notice
 from pb4u.viewer.plot_panel import Measurement, PlotPanel
 from pb4u.viewer.simulation_panel import SimulationPanel
+from pb4u.viewer.touch_panel import TouchPanel
+from pb4u.viewer.touches import Touches
 from pb4u.viewer.uploads import Uploads, bound_uploads
 from pb4u.viewer.view_panels import LookPanel, TimelinePanel
 from pb4u.viewer.view_state import ViewState
@@ -49,16 +52,18 @@ class BrowserWindow:
         self._client, self._out = client, out
         self.state = ViewState()
         self.simulation: LiveSimulation | None = None
+        self.touches = Touches()
         self.measurements: tuple[Measurement, ...] = ()
-        # Guards what several threads change: state, simulation, measurements and, below, the film and two flags.
+        # Guards what several threads change: state, simulation, measurements and, below, the film and a flag.
         self._lock = threading.RLock()
-        self._watching_live = self._camera_due = False
+        self._camera_due = False
         self._film: Film | None = None
-        self._uploads = Uploads()
+        #: Files of the user's own.
+        self.uploads = Uploads()
         bound_uploads(client.gui, self.say)
         self._wake, self._closed = threading.Event(), threading.Event()
         # Of the thread of the page alone.
-        self.display = Display(client)
+        self.display = Display(client, self._drag)
         self._add_panels(bool(clips))
         if clips:
             self._load(clips)
@@ -78,6 +83,8 @@ class BrowserWindow:
             self.look_panel = LookPanel(gui, self)
         with second if showing else first:
             self.simulation_panel = SimulationPanel(gui, self)
+        with tabs.add_tab("Touch"):
+            self.touch_panel = TouchPanel(gui, self)
         with tabs.add_tab("Plots"):
             self.plot_panel = PlotPanel(gui, self)
         with tabs.add_tab("Export"):
@@ -110,7 +117,6 @@ class BrowserWindow:
             action: changes the state.
         """
         with self._lock:
-            self._watching_live = False
             action(self.state)
         self._wake.set()
 
@@ -120,36 +126,14 @@ class BrowserWindow:
             self._camera_due = True
         self._wake.set()
 
-    def keep(self, kind: str, name: str, content: bytes) -> str:
-        """Keep a file of the user's own; its name from now on.
-
-        Args:
-            kind: one of `pb4u.viewer.uploads.KINDS`.
-            name: of the file.
-            content: all of its bytes.
-
-        Raises:
-            InputError: it cannot be used.
-        """
-        return self._uploads.keep(kind, name, content)
-
-    def find(self, kind: str, name: str) -> Path | None:
-        """The file of that kind and name that the user handed over; None where there is none.
-
-        Args:
-            kind: "garment", "body" or "motion".
-            name: its name.
-        """
-        return self._uploads.find(kind, name)
-
     def save_scene(self, run: Run) -> str:
         """Hand the user a scene file, packed with the files it names; returns a sentence that says so.
 
         Args:
             run: what it describes.
         """
-        require_offered(run, self._uploads.files)
-        name, content = pack_scene(run, self._uploads.folder)
+        require_offered(run, self.uploads.files)
+        name, content = pack_scene(run, self.uploads.folder)
         self._client.send_file_download(name, content, save_immediately=True)
         return f"{name} was handed to the browser; run it with `pb4u simulate scene.toml`."
 
@@ -187,13 +171,34 @@ class BrowserWindow:
         Raises:
             InputError: another one runs, or the page does not offer what is requested.
         """
-        require_offered(run, self._uploads.files)
+        require_offered(run, self.uploads.files)
         with self._lock:
             if self.simulation is not None and self.simulation.running:
                 raise InputError("A simulation is running in this window; cancel it first.")
-            self.simulation = LiveSimulation(run, self._advanced, self._ended, self._uploads.files)
-            self.simulation_panel.began()
-            self.simulation.start()
+            self.touches.begin()
+            self._begin(LiveSimulation(run, self._advanced, self._ended, self.uploads.files, self._speed, self.touches))
+
+    def go_on(self) -> None:
+        """Simulate on from the frame that is shown.
+
+        Raises:
+            InputError: it cannot be gone back to.
+        """
+        with self._lock:
+            simulation, frame = self.simulation, self.state.clock.frame
+            if simulation is None or not simulation.is_of(self.state.clips):
+                raise InputError("What is shown was not simulated on this page; simulate something first.")
+            # The newest frame is followed again.
+            self.state.clock.pause_at(self.state.clock.frame_count)
+            if simulation.running:
+                self.touches.go_back(frame)
+            else:
+                self._begin(simulation.resumed(frame))
+
+    def _begin(self, simulation: LiveSimulation) -> None:
+        self.simulation = simulation
+        self.simulation_panel.began()
+        simulation.start()
 
     def cancel(self) -> None:
         """End the simulation before its next step."""
@@ -225,7 +230,30 @@ class BrowserWindow:
         handed = f"{name}, {len(content) / 1e6:.1f} MB, was handed to the browser.{where}"
         return " ".join([handed, *dict.fromkeys(remarks)])
 
+    def _drag(self, phase: str, start: tuple[float, float, float], end: tuple[float, float, float]) -> None:
+        """Pull at the cloth with the mouse, from the thread of the server that takes messages in."""
+        with self._lock:
+            simulation, state = self.simulation, self.state
+            if simulation is None or simulation.live is None or not state.touchable:
+                return
+            try:
+                if phase == "start":
+                    self.touches.grab(simulation.live, state.clips[0], state.clock.frame, start, state.follow)
+                if phase == "end":
+                    self.touches.let_go()
+                else:
+                    self.touches.draw(end)
+            except Exception as error:
+                self.say(plain_sentence(error))
+            state.hand = self.touches.held_at
+        self._wake.set()
+
     # What the simulation tells, from its own thread.
+
+    def _speed(self) -> float:
+        """Seconds of the simulation that may pass in a second: as fast as it is played, while it is followed."""
+        with self._lock:
+            return self.state.clock.speed if self.state.follows_newest else math.inf
 
     def _advanced(self, clip: GrowingClip, done: int, total: int) -> None:
         """Show the newest frame while nobody has looked elsewhere."""
@@ -233,11 +261,15 @@ class BrowserWindow:
             return
         if clip.frame_count:
             with self._lock:
+                simulation = self.simulation
+                newest = self.state.follows_newest
                 if self.state.clips != (clip,):
-                    self._load((clip,))
-                    self._watching_live = True
+                    goes_on, newest = bool(self.state.clips) and self.state.clips[0].label == clip.label, True
+                    self._load((clip,), camera=not goes_on)
+                    self.touch_panel.offer(None if simulation is None else simulation.live)
+                self.state.touchable = simulation is not None and simulation.can_be_touched
                 self.state.grow()
-                if self._watching_live:
+                if newest:
                     self.state.clock.seek(clip.frame_count - 1)
             self._wake.set()
         self.simulation_panel.progress(done, total)
@@ -246,12 +278,14 @@ class BrowserWindow:
         """Play what there is from the start, and measure it."""
         if self.closed:
             return
+        with self._lock:
+            self.state.touchable, self.state.hand = False, None
         if clip is not None and clip.frame_count:
             with self._lock:
                 if self.state.clips == (clip,):
+                    newest = self.state.follows_newest
                     self.state.grow()
-                    if self._watching_live:
-                        self._watching_live = False
+                    if newest:
                         self.state.clock.seek(0)
                         self.state.clock.play()
                     self._measure((clip,))
@@ -260,11 +294,11 @@ class BrowserWindow:
         if ending is Ending.failed:
             self.say(sentence)
 
-    def _load(self, clips: tuple[Clip, ...]) -> None:
-        """Show other clips, and measure them where no frame is still to come."""
+    def _load(self, clips: tuple[Clip, ...], camera: bool = True) -> None:
+        """Show other clips, and measure them where no frame is still to come; with the camera on them or as it is."""
         with self._lock:
             self.state.load(clips)
-            self._camera_due = True
+            self._camera_due |= camera
             self._measure(() if any(isinstance(clip, GrowingClip) for clip in clips) else clips)
             self.export_panel.offer(len(clips))
         self._wake.set()
@@ -295,7 +329,7 @@ class BrowserWindow:
         until = time.monotonic() + timeout
         self._thread.join(max(until - time.monotonic(), 0.0))
         ended = [worker.join(max(until - time.monotonic(), 0.0)) for worker in workers]
-        self._uploads.close()
+        self.uploads.close()
         return all(ended) and not self._thread.is_alive()
 
     def _run(self) -> None:

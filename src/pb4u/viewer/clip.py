@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -94,17 +95,50 @@ class GrowingClip(Clip):
         header: what does not change.
         capacity: frames there will be at most.
         label: what the page calls it.
+        before: clip whose frames it begins with.
+        count: number of those frames.
     """
 
-    def __init__(self, header: TrajectoryHeader, capacity: int, label: str) -> None:
+    def __init__(
+        self,
+        header: TrajectoryHeader,
+        capacity: int,
+        label: str,
+        before: GrowingClip | None = None,
+        count: int = 0,
+    ) -> None:
         # Memory is taken up by the system as it is written to, so room for all frames costs nothing yet.
         garment, body = (
-            np.empty((capacity, count, 3), dtype=np.float32)
-            for count in (len(header.rest_positions), len(header.body_contact))
+            np.empty((capacity, vertices, 3), dtype=np.float32)
+            for vertices in (len(header.rest_positions), len(header.body_contact))
         )
         room = Trajectory(header, garment, np.empty_like(garment), body)
         super().__init__(label, room, room)
-        self._count = 0
+        self._count = count
+        self._notes: tuple[str, ...] = () if before is None else before._notes
+        for own, its in zip(self._values, () if before is None else before._values, strict=False):
+            own[:count] = its[:count]
+
+    def until(self, count: int, header: TrajectoryHeader | None = None) -> GrowingClip:
+        """A clip of its own that begins with the first frames of this one, which stays as it is.
+
+        Args:
+            count: number of those frames.
+            header: of its cloth, on the same mesh; by default that of this one.
+        """
+        return GrowingClip(header or self.header, len(self._shown.positions), self.label, self, count)
+
+    def note(self, sentence: str) -> None:
+        """Say in the metadata what was done to the cloth; once.
+
+        Args:
+            sentence: what was done.
+        """
+        self._notes = tuple(dict.fromkeys((*self._notes, sentence)))
+
+    @property
+    def _values(self) -> tuple[np.ndarray, ...]:
+        return self._shown.positions, self._shown.velocities, self._shown.body_positions
 
     def append(self, frame: Frame) -> None:
         """Add the next frame; from one thread only.
@@ -123,5 +157,19 @@ class GrowingClip(Clip):
         return self._count
 
     def trajectory(self) -> Trajectory:
-        count = self._count
-        return self._shown.with_frames(lambda values: values[:count], self.header.fps)
+        count, header = self._count, self.header
+        made = self._shown.with_frames(lambda values: values[:count], header.fps)
+        if not self._notes:
+            return made
+        notes = [*header.metadata.get("notes", ()), *self._notes]
+        return replace(made, header=header.with_metadata(notes=notes))
+
+
+def middle(body: np.ndarray) -> np.ndarray:
+    """(3,) [m] the point of the ground below the middle of a body.
+
+    Args:
+        body: (vertices, 3) [m].
+    """
+    centre = np.median(body, axis=0)
+    return np.array([centre[0], 0.0, centre[2]])

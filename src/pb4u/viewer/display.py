@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pb4u.export.shading import LIGHTS, SKIN
-from pb4u.viewer.clip import Clip
+from pb4u.viewer.clip import Clip, middle
 from pb4u.viewer.overlay import OVERLAYS, Overlay
-from pb4u.viewer.surface import GarmentsSurface, PaintedSurface, PlainSurface, Surface, coloured_glb
+from pb4u.viewer.surface import Dragged, GarmentsSurface, PaintedSurface, PlainSurface, Surface, coloured_glb
 from pb4u.viewer.view_state import SHADED, ViewState
 
 if TYPE_CHECKING:
@@ -47,6 +47,9 @@ _PATIENCE = 5.0
 _ASK_AGAIN, _READING = 0.004, 0.2
 """Seconds between looks at whether the browser has answered; seconds that it is given to read a painted mesh."""
 
+_HAND = 0.012
+"""Radius [m] of the ball that stands for a hand: two finger tips'."""
+
 _FOOT_HEIGHT, _FOOT_LENGTH = 0.12, 0.25
 """Of an adult's foot, ankle included [m]: what lies that low shades the ground, at least as far as one foot does."""
 
@@ -74,13 +77,14 @@ class Display:
 
     Args:
         client: the window.
+        dragged: told of a mouse that drags cloth that can be touched, of a clip alone in the view.
 
     Attributes:
         looks: the overlay of each clip; none before one is chosen.
     """
 
-    def __init__(self, client: ClientHandle) -> None:
-        self._client = client
+    def __init__(self, client: ClientHandle, dragged: Dragged) -> None:
+        self._client, self._dragged = client, dragged
         self._figures: tuple[Figure, ...] = ()
         self._set = 0
         self._drawn: object = None
@@ -93,6 +97,8 @@ class Display:
             section_thickness=0.9, cell_color=(214, 216, 220), section_color=(196, 199, 204), fade_distance=14.0,
             fade_strength=1.5, shadow_opacity=0.25, plane_color=(240, 241, 243), plane_opacity=1.0,
         )  # fmt: skip
+        self._hand = client.scene.add_icosphere("/hand", radius=_HAND, color=(230, 120, 40), visible=False)
+        self._held_at: tuple[float, float, float] | None = None
         self._questions = ThreadPoolExecutor(_IN_FLIGHT, thread_name_prefix="pb4u browser")
         self._asked: list[Future[None]] = []
 
@@ -106,6 +112,13 @@ class Display:
             Exception: what kept an overlay from being painted; once, after the clips were shown shaded.
         """
         self._key.cast_shadow = state.shadows
+        if state.hand != self._held_at:
+            self._held_at = state.hand
+            self._hand.visible = state.hand is not None
+            if state.hand is not None:
+                self._hand.position = state.hand
+        for figure in self._figures:
+            figure.on_drag(self._dragged if state.touchable else None)
         if state.picture == self._drawn or not state.clips or not all(clip.frame_count for clip in state.clips):
             if self.waits:
                 with self._client.atomic():
@@ -121,7 +134,7 @@ class Display:
             for figure, t in zip(self._figures, frames, strict=True):
                 figure.show(t, state.body, state.follow)
             # The ground slides below the bodies where the view follows.
-            away = _middle(state.clips[0].body(frames[0])) if state.follow else np.zeros(3)
+            away = middle(state.clips[0].body(frames[0])) if state.follow else np.zeros(3)
             self._ground.position = tuple(-np.mod(away, 2 * _CELL))
         self._asked.append(self._questions.submit(self._wait_for_browser))
         if failure is not None:
@@ -206,7 +219,7 @@ class Display:
         corners = []
         for figure in self._figures:
             points = np.concatenate([figure.clip.garment(0), figure.clip.body(0)]) + figure.place
-            points -= _middle(figure.clip.body(0)) if follow else 0.0
+            points -= middle(figure.clip.body(0)) if follow else 0.0
             corners += [points.min(axis=0), points.max(axis=0)]
         low, high = np.min(corners, axis=0), np.max(corners, axis=0)
         camera = self._client.camera
@@ -240,6 +253,7 @@ class Figure:
         self._node = scene.add_frame(name, show_axes=False, position=tuple(place))
         self._versions = 0
         self._overlay: Overlay = OVERLAYS[SHADED](clip)
+        self._dragged: Dragged | None = None
         self._garment = self._new_garment()
         self._retired: list[Surface] = []
         self._body = PlainSurface(scene, f"{name}/body", clip.header.body_faces, SKIN)
@@ -256,6 +270,17 @@ class Figure:
         self._overlay = overlay
         self._retired.append(self._garment)
         self._garment = self._new_garment()
+        self._garment.on_drag(self._dragged)
+
+    def on_drag(self, dragged: Dragged | None) -> None:
+        """Tell of a mouse that drags the cloth, as `Surface.on_drag` does.
+
+        Args:
+            dragged: told of it; None for no more.
+        """
+        if dragged is not self._dragged:
+            self._dragged = dragged
+            self._garment.on_drag(dragged)
 
     def _new_garment(self) -> Surface:
         self._versions += 1
@@ -280,7 +305,7 @@ class Figure:
         self.reveal()
         positions, body_now = self.clip.garment(t), self.clip.body(t)
         colours = self._overlay.colours(t)
-        away = _middle(body_now) if follow else np.zeros(3)
+        away = middle(body_now) if follow else np.zeros(3)
         self._waiting = body_now, body, away
         if self._garment.show(positions, colours):
             self.reveal()
@@ -326,12 +351,6 @@ def _contact_patch() -> bytes:
     shade = np.zeros((rings.size, 4), dtype=np.uint8)
     shade[:, 3] = (75 * (1.0 - rings) ** 1.5).ravel()
     return coloured_glb(points.reshape(-1, 3), shade, faces, transparent=True)
-
-
-def _middle(body: np.ndarray) -> np.ndarray:
-    """(3,) [m] the point of the ground below the middle of a body (vertices, 3)."""
-    middle = np.median(body, axis=0)
-    return np.array([middle[0], 0.0, middle[2]])
 
 
 def _to_the_right(azimuth: float) -> np.ndarray:

@@ -16,8 +16,9 @@ from pb4u.options import Entry, described
 from pb4u.run import BODY, MOST_GARMENTS, Run, WornGarment
 from pb4u.scene.moving_body import DEFAULT_FRAMES, DEFAULT_MOTION
 from pb4u.simulation.models import default_model, model_descriptions
-from pb4u.viewer.live_simulation import MOST_FRAMES, MOST_REFINING, MOST_TRIANGLES, Ending
+from pb4u.viewer.live_simulation import MOST_REFINING, MOST_TRIANGLES, Ending
 from pb4u.viewer.panel import Panel, Tone, notice
+from pb4u.viewer.touches import MOST_FRAMES
 from pb4u.viewer.uploads import KINDS, MOST_BYTES
 from pb4u.viewer.worker import plain_sentence
 
@@ -153,8 +154,8 @@ class SimulationPanel(Panel):
 
     def _take(self, kind: str, button: GuiUploadButtonHandle) -> None:
         """Keep the file of a button, offer it and choose it: for the last garment, the body or the motion."""
-        name = self._window.keep(kind, button.value.name, button.value.content)
-        if self._window.find(kind, name) is None or Path(name).suffix.lower() in KINDS[kind].companions:
+        name = self._window.uploads.keep(kind, button.value.name, button.value.content)
+        if self._window.uploads.find(kind, name) is None or Path(name).suffix.lower() in KINDS[kind].companions:
             self._status.content = notice(f"{name} is here; it is read with the file that it belongs to.")
             return
         self._offered[kind] = tuple(dict.fromkeys((*self._offered[kind], name)))
@@ -175,7 +176,7 @@ class SimulationPanel(Panel):
         Raises:
             InputError: that cannot be a run.
         """
-        find = self._window.find
+        find = self._window.uploads.find
         worn = tuple(each.specification(find) for each in self._worn)
         return Run(worn, **_values(Run, self._controls, find))
 

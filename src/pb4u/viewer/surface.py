@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from viser import GlbHandle, LineSegmentsHandle, MeshHandle, SceneApi
 
     from pb4u.scene.trajectory import TrajectoryHeader
+
+Dragged = Callable[[str, tuple[float, float, float], tuple[float, float, float]], None]
+"""Called with "start", "update" or "end" of a drag, the point where it began and that where it is, (3,) [m] each."""
 
 _LINE_SHADE = 0.65
 """Colour of lines, which take no light here, over what they are in pictures: cloth in the light is about that dark."""
@@ -40,8 +44,27 @@ class Surface(ABC):
         """Show the frame sent last."""
 
     @abstractmethod
+    def on_drag(self, dragged: Dragged | None) -> None:
+        """Tell of a mouse that drags the cloth with its left button, in place of turning the view; None for no more.
+
+        Args:
+            dragged: called in the thread of the server that takes messages, one after the other.
+        """
+
+    @abstractmethod
     def remove(self) -> None:
         """Take it out of the scene."""
+
+
+def _listen(node: MeshHandle, dragged: Dragged | None) -> None:
+    node.remove_drag_callback()
+    if dragged is not None:
+
+        async def told(event: Any) -> None:
+            # Awaited where messages come in, so that none overtakes another.
+            dragged(event.phase, event.start_position, event.end_position)
+
+        node.on_drag("left")(told)
 
 
 class PlainSurface(Surface):
@@ -62,6 +85,7 @@ class PlainSurface(Surface):
         self._faces = np.asarray(faces, dtype=np.uint32)
         self._colour = tuple(round(255 * channel) for channel in colour)
         self._mesh: MeshHandle | None = None
+        self._dragged: Dragged | None = None
 
     def show(self, positions: np.ndarray, colours: np.ndarray | None) -> bool:
         if self._mesh is None:
@@ -69,6 +93,8 @@ class PlainSurface(Surface):
             self._mesh = self._scene.add_mesh_simple(
                 self._name, positions, self._faces, color=(red, green, blue), side="double", wireframe=self._wireframe
             )
+            if self._dragged is not None:
+                self.on_drag(self._dragged)
         else:
             self._mesh.vertices = positions
             self._mesh.visible = True
@@ -76,6 +102,11 @@ class PlainSurface(Surface):
 
     def reveal(self) -> None:
         pass
+
+    def on_drag(self, dragged: Dragged | None) -> None:
+        self._dragged = dragged
+        if self._mesh is not None:
+            _listen(self._mesh, dragged)
 
     def hide(self) -> None:
         """Hide it until it is shown again."""
@@ -128,6 +159,10 @@ class GarmentsSurface(Surface):
     def reveal(self) -> None:
         pass
 
+    def on_drag(self, dragged: Dragged | None) -> None:
+        for _, surface in self._parts:
+            surface.on_drag(dragged)
+
     def remove(self) -> None:
         for node in [surface for _, surface in self._parts] + [handle for _, handle in self._lines]:
             node.remove()
@@ -166,6 +201,13 @@ class PaintedSurface(Surface):
         shown = (self._sent - 1) % self._TURNS
         for turn, node in enumerate(self._nodes):
             node.visible = turn == shown
+
+    def on_drag(self, dragged: Dragged | None) -> None:
+        """Nothing: the browser ends a drag where its mesh is hidden, as each of these is in its turn.
+
+        Args:
+            dragged: never called.
+        """
 
     def remove(self) -> None:
         for node in self._nodes:

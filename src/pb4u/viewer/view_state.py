@@ -167,6 +167,8 @@ class ViewState:
         body: whether bodies are shown.
         follow: whether the view travels with the bodies.
         shadows: whether the key light casts shadows.
+        touchable: whether a mouse that drags the cloth pulls at it.
+        hand: where it holds cloth, (3,) [m] in the view, or None.
     """
 
     def __init__(self, clock: PlaybackClock | None = None) -> None:
@@ -176,6 +178,8 @@ class ViewState:
         self.body = True
         self.follow = True
         self.shadows = False
+        self.touchable = False
+        self.hand: tuple[float, float, float] | None = None
 
     def load(self, clips: tuple[Clip, ...]) -> None:
         """Show other clips, from their first frame.
@@ -195,6 +199,11 @@ class ViewState:
         other = copy(self)
         other.clock = self.clock.frozen()
         return other
+
+    @property
+    def follows_newest(self) -> bool:
+        """Whether it stands at the newest frame, and goes on to the next as it comes."""
+        return not self.clock.playing and self.clock.frame >= self.clock.frame_count - 1
 
     @property
     def picture(self) -> tuple[object, ...]:

@@ -13,7 +13,6 @@ from pb4u.physics.terms.element_loops import Record
 from pb4u.physics.terms.energy_term import sum_by_garment
 from pb4u.physics.terms.stretch import Stretch, elastic_density, face_record, green_strains
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import PackedGarments
 
 
 class StretchDamping(Stretch):
@@ -26,8 +25,8 @@ class StretchDamping(Stretch):
 
     name = "stretch damping"
 
-    def acts_on(self, garments: PackedGarments) -> bool:
-        return garments.damps
+    def acts_on(self, step: TimeStep) -> bool:
+        return step.garments.damps
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         garments = step.garments
@@ -51,8 +50,8 @@ class BendingDamping(Bending):
 
     name = "bending damping"
 
-    def acts_on(self, garments: PackedGarments) -> bool:
-        return garments.damps
+    def acts_on(self, step: TimeStep) -> bool:
+        return step.garments.damps
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         garments = step.garments

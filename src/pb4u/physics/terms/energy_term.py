@@ -17,7 +17,6 @@ from pb4u.physics.terms.element_loops import ElementLoops, Record
 from pb4u.physics.terms.pair_stiffness import PairStiffness
 from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import PackedGarments
 
 Tangent = Callable[[np.ndarray, Stiffness, np.ndarray, np.ndarray], None]
 """A term's part of the quadratic model of a Newton step, which is relinearised where the step leads.
@@ -55,11 +54,11 @@ class EnergyTerm(ABC):
             x: (vertices, 3) [m] next positions.
         """
 
-    def acts_on(self, garments: PackedGarments) -> bool:
-        """Whether it is anything but zero for some state of these garments.
+    def acts_on(self, step: TimeStep) -> bool:
+        """Whether it is anything but zero wherever the step may lead.
 
         Args:
-            garments: the packed garments.
+            step: the time step.
         """
         return True
 

@@ -18,16 +18,16 @@ def _vertex(
     x: np.ndarray,
     corners: np.ndarray,
     numbers: np.ndarray,
-    vertex: int,
+    element: int,
     wanted: int,
     forces: np.ndarray,
     blocks: np.ndarray,
     factors: np.ndarray,
 ) -> float:
     """One vertex; its numbers are mass over squared time step [N/m], and where it would keep its velocity [m]."""
-    stiffness, squared = numbers[vertex, 0], 0.0
+    vertex, stiffness, squared = corners[element, 0], numbers[element, 0], 0.0
     for axis in range(3):
-        change = x[vertex, axis] - numbers[vertex, 1 + axis]
+        change = x[vertex, axis] - numbers[element, 1 + axis]
         squared += change * change
         if wanted == GRADIENT:
             forces[0, axis] = stiffness * change

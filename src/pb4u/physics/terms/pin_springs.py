@@ -13,7 +13,6 @@ from pb4u.physics.terms.element_loops import Record, vertex_record
 from pb4u.physics.terms.energy_term import dot, sum_by_garment
 from pb4u.physics.terms.inertia import Inertia
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import PackedGarments
 
 _SLACK = 1e-9
 """Time [s] by which sums of steps may miss that at which pins let go."""
@@ -28,8 +27,8 @@ class PinSprings(Inertia):
 
     name = "pin springs"
 
-    def acts_on(self, garments: PackedGarments) -> bool:
-        return any(garment.springs is not None for garment in garments.garments)
+    def acts_on(self, step: TimeStep) -> bool:
+        return any(garment.springs is not None for garment in step.garments.garments)
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         garments, away = step.garments, x - _places(step)
