@@ -37,9 +37,7 @@ CONTROLS: Registry[Callable[..., Simulator]] = Registry("control")
 """What makes a control by its name, the network that it stands beside, its passes and the options of a simulator."""
 TRAINABLE: Registry[str] = Registry("trainable network")
 """Advice, as part of a sentence, on how to train a network that has a name but no weights."""
-_SOLVERS = ("solver", "quick-solver")
-"""Models that are neither a network nor a control beside one."""
-_OF_NETWORKS = {"friction_law": "paper", "air": "off", "time_integration": "implicit-euler"}
+_OF_NETWORKS = {"friction_law": "paper", "air": "off"}
 """Laws that a run of a network alone has where it leaves them open: it has learnt them."""
 
 _BEST = "best.safetensors"
@@ -101,10 +99,7 @@ def chosen_model(run: Run) -> str:
 
 
 def chosen_laws(run: Run) -> dict[str, str]:
-    """Laws of motion by option, those that a run leaves open chosen.
-
-    The solver corrects what a network never learnt of friction and air. Steps of second order it corrects too, but has
-    to take half as many again anew.
+    """Laws of motion by option, those that a run leaves open chosen: a solver corrects what a network never learnt.
 
     Args:
         run: whose scene is not looked at.
@@ -112,8 +107,6 @@ def chosen_laws(run: Run) -> dict[str, str]:
     laws = dict(_OF_NETWORKS)
     if _solves(run):
         laws |= {"friction_law": "coulomb", "air": "on"}
-    if chosen_model(run) in _SOLVERS:
-        laws["time_integration"] = "bdf2"
     if any(run.environment.wind):
         laws["air"] = "on"
     given = {name: getattr(run, name) for name in laws}
@@ -213,7 +206,7 @@ def simulator_of(run: Run) -> Simulator:
         "contact": contact,
         "first_frame": FIRST_FRAMES.named(first),
         "potential": potential,
-        "integrator": INTEGRATORS[laws["time_integration"]],
+        "integrator": INTEGRATORS[run.time_integration],
     }
     if model == "skinning":
         return SkinningSimulator()

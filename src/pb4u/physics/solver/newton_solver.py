@@ -67,6 +67,9 @@ _FINELY = 0.05
 # above the last and falls back while the curvature is negative. The extra mass holds back vertices about to buckle.
 _DAMPING_LEVELS = ((0.0, 0.0), (0.8, 1.0), (1.0, 1.0), (1.0, 0.3), (1.0, 0.0))
 
+_STILL = 1e-6
+"""Residual [standard gravity] of cloth that is in balance but for rounding, where an iteration finds nothing."""
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -115,10 +118,13 @@ class Solver:
         tolerance: rms(M^-1 gradient) in units of standard gravity at which a step counts as solved.
         max_iterations: Newton iterations after which it stops in any case.
         settled: an iteration whose energy decrease is below this height [m] is the last; 0 for no such end.
+        least: iterations that it makes in any case where something is out of balance at all.
     """
 
-    def __init__(self, tolerance: float = 1e-3, max_iterations: int = 100, settled: float = 0.0) -> None:
-        self.tolerance, self.max_iterations, self.settled = tolerance, max_iterations, settled
+    def __init__(
+        self, tolerance: float = 1e-3, max_iterations: int = 100, settled: float = 0.0, least: int = 0
+    ) -> None:
+        self.tolerance, self.max_iterations, self.settled, self.least = tolerance, max_iterations, settled, least
         self._garments: PackedGarments | None = None
         self._pattern: StiffnessPattern
         self._preconditioner: AgeingPreconditioner
@@ -179,8 +185,8 @@ class Solver:
                 raise DivergedError(potential.step.state.frame + 1, "the solver met positions without finite energy")
             if watch is not None:
                 watch(Iteration(iteration, total, residual))
-            if residual <= self.tolerance or iteration >= limit or decrease < self.settled or ended:
-                solved = residual <= self.tolerance
+            solved = residual <= self.tolerance and (iteration >= self.least or residual <= _STILL)
+            if solved or iteration >= limit or decrease < self.settled or ended:
                 return Solution(x, energies, residual, iteration, solved, decrease)
             highest = min(damping_level + 1, len(_DAMPING_LEVELS) - 1)
             newton, damping_level = self._direction(frozen, x, gradient, highest, self._preconditioner)
