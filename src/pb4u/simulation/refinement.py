@@ -28,8 +28,8 @@ or a cardigan, 65 to 300.
 """
 
 _NEAR_BALANCE = 1.0
-"""Residual [standard gravity] at which a refined step is left after its first iteration: walks and dances get there in two or three iterations,
-and five leave no more than half a percent less energy."""
+"""Residual [standard gravity] at which a refined step is left after its first iteration: walks and dances get there in
+two or three iterations, and five leave no more than half a percent less energy."""
 
 _SETTLED = 5e-4
 """Energy decrease of an iteration, as the height [m] to which it would lift the garment, below which it is the last.
