@@ -86,7 +86,7 @@ saved, run = run, replace(run, gust=(1.0, 0.0, 2.5))
 (folder / "jobs.toml").write_text("[product]\ngravity_scale = [0.5, 1.5]\n")
 columns = {each.name: str(each.type) for each in _schema()}
 page = Page()
-panel = SimulationPanel(page, MagicMock(find=lambda kind, name: None))
+panel = SimulationPanel(page, MagicMock(uploads=MagicMock(find=lambda kind, name: None)))
 page.controls["Gravity"][0].value = 0.25
 page.controls["Integration"][0].value = "bdf2"
 filled = panel.run()

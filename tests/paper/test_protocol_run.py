@@ -60,15 +60,15 @@ class Here(WorkerPool):
         self._waiting.clear()
 
 
-def ball_of(asked: Run, **options: Any) -> tuple[Scene, tuple[str, ...]]:
-    return ball_scene(asked.frames, asked.lead_in, **options), ()
+def ball_of(asked: Run, **options: Any) -> Scene:
+    return ball_scene(asked.frames, asked.lead_in, **options)
 
 
 @pytest.fixture(autouse=True)
 def balls(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     """Scenes are balls: the motion sets their speed, the level how fine the sheet is; on "turn" there is none."""
 
-    def made(asked: Run, fps: float) -> tuple[Scene, tuple[str, ...]]:
+    def made(asked: Run, fps: float) -> Scene:
         if asked.motion == "turn":
             raise InputError("The ball cannot turn.")
         speed = 0.3 if asked.motion == "walk" else 0.6

