@@ -134,6 +134,7 @@ def run_values(settings):
         "self_contact": None if without else settings.self_contact,
         # A file that leaves these out means what files meant before there was a choice.
         "friction_law": "auto",
+        "time_integration": "auto",
         "air": "auto",
     }
 

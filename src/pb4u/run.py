@@ -198,7 +198,7 @@ class Run:
             paper's, which resists sliding down by a hundredth of that. auto is coulomb wherever the solver takes part.
         substeps: Steps of the solver in a frame, for what moves fast. A network keeps the step that it was trained on.
         time_integration: Rule of integration in time: implicit-euler, which damps swings and which networks learnt, or
-            bdf2, which keeps a swing's height, and lets cloth bounce that falls flat.
+            bdf2, which keeps a swing's height. auto is bdf2 where the solver alone makes the steps.
         air: Air that presses on moving cloth and drags it. auto is on wherever the solver takes part, and with wind.
         environment: Gravity, air and ground; flags and entries of jobs files are the fields of `Environment`.
 
@@ -246,7 +246,7 @@ class Run:
     rest_shape: Annotated[Literal["flat", "moulded"], Flag(SCENE, "NAME")] = "flat"
     friction_law: Annotated[Literal["auto", "coulomb", "paper"], _model("NAME", applies_to=STEPS)] = "auto"
     substeps: Annotated[int, _model("N", least=1, most=100, applies_to=STEPS)] = 1
-    time_integration: Annotated[Literal["implicit-euler", "bdf2"], _model("NAME", applies_to=STEPS)] = "implicit-euler"
+    time_integration: Annotated[Literal["auto", "implicit-euler", "bdf2"], _model("NAME", applies_to=STEPS)] = "auto"
     air: Annotated[Literal["auto", "on", "off"], _model("NAME", applies_to=STEPS)] = "auto"
     environment: Annotated[Environment, Flag(SCENE, applies_to=STEPS)] = USUAL
 

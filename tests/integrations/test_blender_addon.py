@@ -238,7 +238,7 @@ seen["status"] = settings.status
     np.testing.assert_allclose(written.environment.wind, [0.0, 0.0, -3.0], atol=1e-5)
     np.testing.assert_allclose(written.environment.gravity, [0.0, -1.62, 0.0], atol=1e-6)
     assert written.environment.gusts == 7
-    assert (written.friction_law, written.air) == ("auto", "auto")
+    assert (written.friction_law, written.time_integration, written.air) == ("auto", "auto", "auto")
     assert (written.garments[0].pin_stiffness, written.garments[0].pins_until) == (120.0, 2)
 
 

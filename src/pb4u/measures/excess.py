@@ -147,15 +147,12 @@ def excess_heights(trajectory: Trajectory, progress: Progress = no_progress) -> 
     rule = INTEGRATORS[had.get("time_integration", IMPLICIT_EULER.name)]
     minima, heights, history = StepMinima(potential), [math.nan], tuple[Tensor, ...]()
     for t in range(1, trajectory.frame_count):
-        x, velocities = (
-            torch.from_numpy(np.array(each[t], dtype=np.float64))
-            for each in (trajectory.positions, trajectory.velocities)
-        )
+        x = torch.from_numpy(np.array(trajectory.positions[t], dtype=np.float64))
         step = ruler.step(t, x)
         step = replace(step, state=replace(step.state, history=history), integrator=rule)
         finite = np.isfinite(trajectory.positions[t - 1 : t + 1]).all()
         heights.append(_excess_height(minima, step, x) if finite else math.nan)
-        history = rule.history(step.state, step.dt, x - step.state.positions, velocities) if finite else ()
+        history = step.reached(x, potential.of(step).struck(x)).history if finite else ()
         progress(t + 1, trajectory.frame_count)
     return heights
 

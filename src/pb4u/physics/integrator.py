@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 import torch
@@ -22,8 +23,8 @@ class Integrator(Protocol):
 
     name: str
 
-    def inertial_dt(self, state: State, dt: float) -> float:
-        """Time [s] by whose square inertia is divided; a further move over it is what the velocity changes by.
+    def inertial_dt(self, state: State, dt: float) -> float | Tensor:
+        """Time [s] by whose square inertia is divided, one or (vertices,).
 
         Args:
             state: at the start of the step.
@@ -38,23 +39,33 @@ class Integrator(Protocol):
             dt: length of the step [s].
         """
 
-    def velocities(self, state: State, dt: float, move: Tensor) -> Tensor:
-        """Velocities (vertices, 3) [m/s] at the end of a step; differentiable.
-
-        Args:
-            state: at its start.
-            dt: its length [s].
-            move: (vertices, 3) [m] from its start to its end.
-        """
-
-    def history(self, state: State, dt: float, move: Tensor, velocities: Tensor) -> tuple[Tensor, ...]:
-        """What the state at the end of a step has to tell the next one of the step that led there.
+    def arrived(self, state: State, dt: float, positions: Tensor, move: Tensor, struck: Tensor | None = None) -> State:
+        """State at the end of a step, with its velocities and what it tells the next step; differentiable.
 
         Args:
             state: at the start of the step.
             dt: its length [s].
-            move: (vertices, 3) [m] from its start to its end.
-            velocities: (vertices, 3) [m/s] at its end.
+            positions: (vertices, 3) [m] at its end.
+            move: (vertices, 3) [m] that led there, from which the velocities follow.
+            struck: (vertices,) bool on which contact pushes there; None for none.
+        """
+
+    def turned_aside(self, state: State, dt: float, positions: Tensor) -> State:
+        """A state at other positions, to which contact led the end of its step.
+
+        Args:
+            state: at the end of a step.
+            dt: length of that step [s].
+            positions: (vertices, 3) [m].
+        """
+
+    def joined(self, state: State, dt: float, last: State) -> State:
+        """State at the end of a step that was taken in parts.
+
+        Args:
+            state: at the start of the step.
+            dt: its length [s].
+            last: at the end of its last part.
         """
 
 
@@ -69,11 +80,14 @@ class ImplicitEuler:
     def free_move(self, state: State, dt: float) -> Tensor:
         return dt * state.velocities
 
-    def velocities(self, state: State, dt: float, move: Tensor) -> Tensor:
-        return move / dt
+    def arrived(self, state: State, dt: float, positions: Tensor, move: Tensor, struck: Tensor | None = None) -> State:
+        return State(positions, move / dt, state.frame + 1)
 
-    def history(self, state: State, dt: float, move: Tensor, velocities: Tensor) -> tuple[Tensor, ...]:
-        return ()
+    def turned_aside(self, state: State, dt: float, positions: Tensor) -> State:
+        return replace(state, positions=positions, velocities=state.velocities + (positions - state.positions) / dt)
+
+    def joined(self, state: State, dt: float, last: State) -> State:
+        return replace(last, frame=state.frame + 1)
 
 
 class _StepBefore(NamedTuple):
@@ -85,14 +99,18 @@ class _StepBefore(NamedTuple):
     Args:
         velocities: (vertices, 3) [m/s] at its start.
         lag: (vertices, 3) [m/s].
-        lead: () by how much the velocity at its end changes for each 1 of the mean velocity.
-        dt: () its length [s].
+        lead: (vertices, 1) by how much the velocity at its end changes for each 1 of the mean velocity.
+        dt: (vertices, 1) its length [s]; 0 where the next step begins anew.
     """
 
     velocities: Tensor
     lag: Tensor
     lead: Tensor
     dt: Tensor
+
+    def mean_velocity(self, velocities: Tensor) -> Tensor:
+        """Mean velocity (vertices, 3) [m/s] over the step, from the `velocities` (vertices, 3) [m/s] at its end."""
+        return (velocities + self.lag) / self.lead
 
 
 class SecondOrder:
@@ -102,50 +120,70 @@ class SecondOrder:
     over it, less r / (1 + r) of the mean slope over the one before: 3/2 and 1/2 where both are equal. The step after a
     state without history, and one more than twice as long as that before, is one of implicit Euler. Source: Hairer,
     Norsett, Wanner, Solving Ordinary Differential Equations I, III.5 (steps may grow by 1 + sqrt(2) at most).
+
+    So is that of a vertex on which contact pushes: its velocity jumps, and the difference of two mean velocities would
+    throw it back with half of the speed at which it came. Such a vertex ends with its mean velocity, and begins anew.
     """
 
     name = "bdf2"
 
-    def inertial_dt(self, state: State, dt: float) -> float:
-        return dt / _lead(state, dt)
+    def inertial_dt(self, state: State, dt: float) -> float | Tensor:
+        return dt / _lead(_growth(state, dt))[:, 0] if state.history else dt
 
     def free_move(self, state: State, dt: float) -> Tensor:
-        lead = _lead(state, dt)
-        if lead == 1.0:
+        if not state.history:
             return dt * state.velocities
-        before = _StepBefore(*state.history)
+        before, growth = _StepBefore(*state.history), _growth(state, dt)
+        lead = _lead(growth)
         share = lead - 1.0
         # The velocity would change as it did, and the way follows from it.
-        unchanged = state.velocities + share / lead * _over(before.dt, dt) * (state.velocities - before.velocities)
-        return dt / lead * (unchanged + share * _mean_velocity(state))
+        unchanged = state.velocities + share / lead * growth * (state.velocities - before.velocities)
+        return dt / lead * (unchanged + share * before.mean_velocity(state.velocities))
 
-    def velocities(self, state: State, dt: float, move: Tensor) -> Tensor:
-        lead = _lead(state, dt)
-        return move / dt if lead == 1.0 else lead * move / dt - (lead - 1.0) * _mean_velocity(state)
+    def arrived(self, state: State, dt: float, positions: Tensor, move: Tensor, struck: Tensor | None = None) -> State:
+        mean = move / dt
+        if state.history:
+            lead = _lead(_growth(state, dt))
+            velocities = lead * mean - (lead - 1.0) * _StepBefore(*state.history).mean_velocity(state.velocities)
+        else:
+            lead, velocities = torch.ones_like(mean[:, :1]), mean
+        after = _StepBefore(state.velocities, lead * mean - velocities, lead, torch.full_like(lead, dt))
+        arrived = State(positions, velocities, state.frame + 1, after)
+        return arrived if struck is None else _begun_anew(arrived, struck)
 
-    def history(self, state: State, dt: float, move: Tensor, velocities: Tensor) -> tuple[Tensor, ...]:
-        lead = _lead(state, dt)
-        numbers = torch.tensor([lead, dt], dtype=torch.float64)
-        return _StepBefore(state.velocities, lead * move / dt - velocities, numbers[0], numbers[1])
+    def turned_aside(self, state: State, dt: float, positions: Tensor) -> State:
+        cut = positions - state.positions
+        stopped = _begun_anew(state, (cut != 0.0).any(1))
+        return replace(stopped, positions=positions, velocities=stopped.velocities + cut / dt)
+
+    def joined(self, state: State, dt: float, last: State) -> State:
+        whole = self.arrived(state, dt, last.positions, last.positions - state.positions)
+        step = _StepBefore(*whole.history)
+        # The velocity is that of the last part, and the mean one that of the whole step.
+        step = step._replace(lag=step.lag + whole.velocities - last.velocities)
+        anew = _StepBefore(*last.history).dt[:, 0] == 0.0
+        step = step._replace(dt=step.dt.masked_fill(anew[:, None], 0.0))
+        return replace(whole, velocities=last.velocities, history=step)
 
 
-def _over(before: Tensor, dt: float) -> float:
-    """The step over the one before, by their lengths [s]."""
-    return dt / float(before)
+def _growth(state: State, dt: float) -> Tensor:
+    """The step over the one before (vertices, 1), by their lengths; 0 where it begins anew."""
+    growth = dt / _StepBefore(*state.history).dt
+    return torch.where(growth > _MOST_GROWTH, 0.0, growth)
 
 
-def _lead(state: State, dt: float) -> float:
+def _lead(growth: Tensor) -> Tensor:
     """By how much the velocity at the end of a step changes for each 1 of its mean velocity."""
-    if not state.history:
-        return 1.0
-    growth = _over(_StepBefore(*state.history).dt, dt)
-    return 1.0 if growth > _MOST_GROWTH else (1.0 + 2.0 * growth) / (1.0 + growth)
+    return (1.0 + 2.0 * growth) / (1.0 + growth)
 
 
-def _mean_velocity(state: State) -> Tensor:
-    """Mean velocity (vertices, 3) [m/s] over the step that led to `state`."""
-    before = _StepBefore(*state.history)
-    return (state.velocities + before.lag) / float(before.lead)
+def _begun_anew(state: State, struck: Tensor) -> State:
+    """`state` with the mean velocity of its step at the vertices `struck` (vertices,), which forget the step."""
+    step, anew = _StepBefore(*state.history), struck[:, None]
+    velocities = torch.where(anew, step.mean_velocity(state.velocities), state.velocities)
+    lag, lead = torch.where(anew, 0.0, step.lag), torch.where(anew, 1.0, step.lead)
+    history = _StepBefore(step.velocities, lag, lead, step.dt.masked_fill(anew, 0.0))
+    return replace(state, velocities=velocities, history=history)
 
 
 IMPLICIT_EULER, SECOND_ORDER = ImplicitEuler(), SecondOrder()

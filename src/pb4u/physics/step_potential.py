@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.jit import as_float64
+from pb4u.environment import STANDARD_GRAVITY
 from pb4u.physics.contact.contact_set import ContactPlanes, ContactSet
 from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.self_contact import ClothPairs
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 
 Part = TypeVar("Part")
 Result = TypeVar("Result")
+
+_STRUCK = 0.1
+"""Share of the weight of a vertex with which contact has to push for its velocity to have jumped."""
 
 _FEW = 4096
 """Vertices up to which one thread evaluates all terms: 2 ms, beside which it takes long to begin another."""
@@ -240,6 +244,20 @@ class StepPotential:
         table = torch.from_numpy(energies).to(x.dtype)
         found = Energies({term.name: part for term, part in zip(terms, table.unbind(0), strict=True)}, table)
         return found, torch.from_numpy(slopes.sum(axis=0)).to(x.dtype)
+
+    def struck(self, x: Tensor) -> Tensor:
+        """Vertices (vertices,) bool on which contact pushes.
+
+        Args:
+            x: (vertices, 3) [m] next positions.
+        """
+        contacts, at = self._contacts_at(x), as_float64(x)
+        push, energies = np.zeros((len(at), 3)), np.zeros(self.step.garments.garment_count)
+        for term in self.potential.terms:
+            if term.pushes_apart:
+                term.add(self.step, contacts, at, energies, push)
+        heavier = STANDARD_GRAVITY * _STRUCK * self.step.garments.vertex_masses
+        return torch.from_numpy(push).norm(dim=1) > heavier
 
     def energies_of_worlds(self, xs: Tensor) -> Tensor:
         """Sums (positions, worlds) [J] of all terms at several `xs` (positions, vertices, 3) [m], contacts fixed.

@@ -178,9 +178,9 @@ class TimeStep:
             pull=pull,
         )
 
-    @property
-    def inertial_dt(self) -> float:
-        """Time [s] by whose square inertia is divided."""
+    @cached_property
+    def inertial_dt(self) -> float | Tensor:
+        """Time [s] by whose square inertia is divided, one or (vertices,)."""
         return self.integrator.inertial_dt(self.state, self.dt)
 
     @property
@@ -188,13 +188,23 @@ class TimeStep:
         """How far (vertices, 3) [m] every vertex goes where nothing acts on it, pins included."""
         return self.integrator.free_move(self.state, self.dt)
 
-    def reached(self, positions: Tensor) -> State:
+    def reached(self, positions: Tensor, struck: Tensor | None = None) -> State:
         """State at the end of the step, with the velocities that a move there leaves.
 
         Args:
             positions: (vertices, 3) [m] at the end of the step.
+            struck: (vertices,) bool on which contact pushes there; None for none.
         """
-        return self._moved(positions, positions - self.state.positions)
+        return self._moved(positions, positions - self.state.positions, struck)
+
+    def turned_aside(self, state: State, positions: Tensor) -> State:
+        """State at the end of the step at other positions, to which contact led it.
+
+        Args:
+            state: at the end of the step.
+            positions: (vertices, 3) [m].
+        """
+        return self.integrator.turned_aside(state, self.dt, positions)
 
     def reached_by_parts(self, last: State) -> State:
         """State at the end of the step, whose parts led to it: places and velocities are those of the last of them.
@@ -202,14 +212,10 @@ class TimeStep:
         Args:
             last: at the end of the last part.
         """
-        return self._arrived(last.positions, last.positions - self.state.positions, last.velocities)
+        return self.integrator.joined(self.state, self.dt, last)
 
-    def _moved(self, positions: Tensor, move: Tensor) -> State:
-        return self._arrived(positions, move, self.integrator.velocities(self.state, self.dt, move))
-
-    def _arrived(self, positions: Tensor, move: Tensor, velocities: Tensor) -> State:
-        history = self.integrator.history(self.state, self.dt, move, velocities)
-        return State(positions, velocities, self.state.frame + 1, history)
+    def _moved(self, positions: Tensor, move: Tensor, struck: Tensor | None = None) -> State:
+        return self.integrator.arrived(self.state, self.dt, positions, move, struck)
 
 
 def integrate(step: TimeStep, acceleration: Tensor) -> State:

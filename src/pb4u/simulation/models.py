@@ -26,6 +26,8 @@ PARTS: dict[str, frozenset[str]] = {
     "skinning": frozenset(),
 }
 """Models that are no networks, each with the parts that options apply to (`Flag.applies_to`); a network has all."""
+SOLVERS = ("quick-solver", "solver")
+"""Models whose steps the solver makes alone."""
 _REFUSALS = {
     "first_frame": "{model} starts in a way of its own; leave the first frame to it.",
     "self_contact": "{model} carries every vertex with the body and keeps no cloth from crossing, so --self-contact "
@@ -37,7 +39,7 @@ CONTROLS: Registry[Callable[..., Simulator]] = Registry("control")
 """What makes a control by its name, the network that it stands beside, its passes and the options of a simulator."""
 TRAINABLE: Registry[str] = Registry("trainable network")
 """Advice, as part of a sentence, on how to train a network that has a name but no weights."""
-_OF_NETWORKS = {"friction_law": "paper", "air": "off"}
+_OF_NETWORKS = {"friction_law": "paper", "time_integration": "implicit-euler", "air": "off"}
 """Laws that a run of a network alone has where it leaves them open: it has learnt them."""
 
 _BEST = "best.safetensors"
@@ -107,6 +109,8 @@ def chosen_laws(run: Run) -> dict[str, str]:
     laws = dict(_OF_NETWORKS)
     if _solves(run):
         laws |= {"friction_law": "coulomb", "air": "on"}
+    if chosen_model(run) in SOLVERS:
+        laws["time_integration"] = "bdf2"
     if any(run.environment.wind):
         laws["air"] = "on"
     given = {name: getattr(run, name) for name in laws}
@@ -206,7 +210,7 @@ def simulator_of(run: Run) -> Simulator:
         "contact": contact,
         "first_frame": FIRST_FRAMES.named(first),
         "potential": potential,
-        "integrator": INTEGRATORS[run.time_integration],
+        "integrator": INTEGRATORS[laws["time_integration"]],
     }
     if model == "skinning":
         return SkinningSimulator()

@@ -119,7 +119,7 @@ class DescentFeature:
 
     def __init__(self, potential: IncrementalPotential) -> None:
         self._potential = potential.without_self_contact()
-        self._made: tuple[PackedGarments, float, JacobiDescent] | None = None
+        self._made: tuple[PackedGarments, float | Tensor, JacobiDescent] | None = None
 
     def of(self, step: TimeStep, accelerations: Tensor, incident_length: Tensor) -> Tensor:
         """Descent (vertices, 3) [edge lengths].
@@ -135,9 +135,12 @@ class DescentFeature:
         return strain * torch.where(size > 1e-6, torch.log1p(size) / size.clamp_min(1e-6), 1.0)
 
     def _descent(self, step: TimeStep) -> JacobiDescent:
-        if self._made is None or self._made[0] is not step.garments or self._made[1] != step.inertial_dt:
-            self._made = step.garments, step.inertial_dt, JacobiDescent(step.garments, step.inertial_dt)
-        return self._made[2]
+        dt, made = step.inertial_dt, self._made
+        # One for each vertex is of its step alone.
+        same = made is not None and (made[1] is dt or (isinstance(dt, float) and made[1] == dt))
+        if made is None or made[0] is not step.garments or not same:
+            made = self._made = step.garments, dt, JacobiDescent(step.garments, dt)
+        return made[2]
 
 
 class StepFeatures:

@@ -105,9 +105,8 @@ class SolverRefinement:
             step: the time step.
             predicted: state at its end that the method predicts.
         """
-        return step.reached(
-            self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations).positions
-        )
+        solution = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
+        return step.reached(solution.positions, solution.struck)
 
     def respond_with_cloth(self, step: TimeStep, state: State, contact: ContactResponse) -> State:
         """`state` with what is inside the body pushed out of it, as far as that succeeds; its velocity stays.
@@ -223,7 +222,7 @@ class SafeguardedRefinement(SolverRefinement):
         pierced = newly_pierced(step, refined.positions)
         falling = refined.residual > _BALANCED and refined.decrease > _STILL_FALLING
         if not pierced and not (falling and _failed_faces(step, refined.positions)):
-            return step.reached(refined.positions)
+            return step.reached(refined.positions, refined.struck)
 
         def solve(part: TimeStep) -> Solution:
             start, smooth = self._warm_start.positions(part), _Smoothing(part, ends=False)
@@ -233,7 +232,7 @@ class SafeguardedRefinement(SolverRefinement):
         if self.retried:
             self.retried(solved)
         better = (newly_pierced(step, state.positions), solved.residual) < (pierced, refined.residual)
-        return state if better else step.reached(refined.positions)
+        return state if better else step.reached(refined.positions, refined.struck)
 
 
 class _Smoothing:
@@ -309,7 +308,4 @@ def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: Stat
 
 def _moved_to(positions: Tensor, wanted: State, step: TimeStep) -> State:
     """`wanted` at other positions, with the velocities that the difference takes away."""
-    if positions is wanted.positions:
-        return wanted
-    cut = (positions - wanted.positions) / step.inertial_dt
-    return replace(wanted, positions=positions, velocities=wanted.velocities + cut)
+    return wanted if positions is wanted.positions else step.turned_aside(wanted, positions)

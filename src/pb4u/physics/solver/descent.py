@@ -14,10 +14,10 @@ class JacobiDescent:
 
     Args:
         garments: static quantities.
-        dt: time [s] of inertia, that of an implicit Euler step.
+        dt: time [s] of inertia, one or (vertices,), that of an implicit Euler step.
     """
 
-    def __init__(self, garments: PackedGarments, dt: float) -> None:
+    def __init__(self, garments: PackedGarments, dt: float | Tensor) -> None:
         stiffness = membrane_stiffness(garments) + garments.vertex_masses / dt**2
         moves = ~garments.pinned & (garments.vertex_masses > 0)
         self._compliance = torch.where(moves, 1.0 / stiffness.clamp_min(1e-30), 0.0)[:, None]

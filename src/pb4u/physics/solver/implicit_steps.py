@@ -83,7 +83,7 @@ def in_parts(step: TimeStep, count: int, solve: Callable[[TimeStep], Solution]) 
     for k in range(count):
         part = step if count == 1 else step.part(k, count, state)
         solution = solve(part)
-        state = part.reached(solution.positions)
+        state = part.reached(solution.positions, solution.struck)
         made, converged = made + solution.iterations, converged and solution.converged
     if count > 1:
         state = step.reached_by_parts(state)

@@ -78,6 +78,7 @@ class Solution:
     Args:
         positions: (vertices, 3) [m] at which the solver stopped.
         energies: at `positions` [J].
+        struck: (vertices,) bool where contact pushes there.
         residual: rms over the free vertices of a world of the unbalanced acceleration, in units of standard gravity;
             of the world where it is largest.
         iterations: Newton iterations made.
@@ -88,6 +89,7 @@ class Solution:
 
     positions: Tensor
     energies: Energies
+    struck: Tensor
     residual: float
     iterations: int
     converged: bool
@@ -187,12 +189,12 @@ class Solver:
                 watch(Iteration(iteration, total, residual))
             solved = residual <= self.tolerance and (iteration >= self.least or residual <= _STILL)
             if solved or iteration >= limit or decrease < self.settled or ended:
-                return Solution(x, energies, residual, iteration, solved, decrease)
+                return Solution(x, energies, frozen.struck(x), residual, iteration, solved, decrease)
             highest = min(damping_level + 1, len(_DAMPING_LEVELS) - 1)
             newton, damping_level = self._direction(frozen, x, gradient, highest, self._preconditioner)
             moved = self._line_search(frozen, x, gradient, energies.per_world(garments), newton)
             if moved is None:
-                return Solution(x, energies, residual, iteration, False, decrease)
+                return Solution(x, energies, frozen.struck(x), residual, iteration, False, decrease)
             x, cloth, energy = moved
             decrease = float((energy / garments.world_weights).max())
             iteration += 1

@@ -36,6 +36,7 @@ class ClothContact(EnergyTerm):
 
     stiffness: float = 1e3
     name = "self_contact"
+    pushes_apart = True
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         if contacts.cloth is None:

@@ -86,6 +86,7 @@ class Collision(EnergyTerm):
     weight: float = 5e3
     clearance: float = 2e-3
     name = "collision"
+    pushes_apart = True
     loops = element_loops(_vertex, 1)
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:

@@ -38,11 +38,13 @@ class EnergyTerm(ABC):
         name: by which results and tables refer to it.
         loops: its compiled loops; None for a term without: torch computes it everywhere.
         reads_contacts: whether its `records` read the contacts at a step's start.
+        pushes_apart: whether its forces are those that change velocities at once where cloth meets something.
     """
 
     name: str
     loops: ClassVar[ElementLoops | None] = None
     reads_contacts: ClassVar[bool] = True
+    pushes_apart: bool = False
 
     @abstractmethod
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
@@ -165,6 +167,7 @@ class CompiledTerm(EnergyTerm):
 
     def __init__(self, term: EnergyTerm, loops: ElementLoops, step: TimeStep, contacts: ContactSet) -> None:
         self.term, self.name, self._loops = term, term.name, loops
+        self.pushes_apart = term.pushes_apart
         self._made_for = step, contacts
 
     @cached_property

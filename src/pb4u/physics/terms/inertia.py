@@ -58,7 +58,7 @@ class Inertia(EnergyTerm):
         return each_vertex(step.garments)
 
     def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
-        state, masses = step.state.double(), as_float64(step.garments.vertex_masses)
+        state, masses = step.state.double(), step.garments.vertex_masses.double()
         kept = as_float64(state.positions + step.integrator.free_move(state, step.dt))
-        records = (vertex_record(step.garments, masses / step.inertial_dt**2, kept),)
+        records = (vertex_record(step.garments, as_float64(masses / step.inertial_dt**2), kept),)
         return lambda _: records
