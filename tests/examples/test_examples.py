@@ -250,6 +250,24 @@ def test_ball_against_a_sheet(example: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_flag_in_the_wind(example: Run, tmp_path: Path) -> None:
+    example("18_flag_in_the_wind.py", "--triangles", 200, "--frames", 40)
+    trajectory = Trajectory.open(tmp_path / "flag.npz")
+    ends = trajectory.positions[:, trajectory.positions[0, :, 0] > 1.2]
+    assert ends[10:, :, 1].min() > 0.9, "it does not hang"
+    assert np.ptp(ends[10:, :, 2].mean(axis=1)) > 0.1, "it flutters"
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::pb4u.errors.InputWarning", "ignore::pb4u.errors.InputNote")
+def test_throw_off_a_cape(example: Run, tmp_path: Path) -> None:
+    example("19_throw_off_a_cape.py", "--triangles", 400, "--frames", 45, "--until", 15)
+    heights = Trajectory.open(tmp_path / "cape.npz").positions[:, :, 1]
+    assert heights[:15].max(axis=1).min() > 1.2, "the clasps hold"
+    assert heights[-1].max() < 0.6, "it lies or falls"
+
+
+@pytest.mark.slow
 def test_sew_a_skirt() -> None:
     names = runpy.run_path(str(EXAMPLES / "14_sew_a_skirt.py"), run_name="example")
     pattern = names["skirt"]()
