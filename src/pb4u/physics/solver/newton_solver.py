@@ -79,8 +79,8 @@ class Solution:
         positions: (vertices, 3) [m] at which the solver stopped.
         energies: at `positions` [J].
         struck: (vertices,) bool where contact pushes there.
-        residual: rms over the free vertices of a world of the unbalanced acceleration, in units of standard gravity;
-            of the world where it is largest.
+        residual: rms over the free vertices of a world of the unbalanced acceleration of implicit Euler's inertia, in
+            units of standard gravity; of the world where it is largest.
         iterations: Newton iterations made.
         converged: whether the residual is below the tolerance.
         decrease: energy decrease of the last iteration, promised or found, as the height [m] to which it would lift the
@@ -132,7 +132,7 @@ class Solver:
         self._preconditioner: AgeingPreconditioner
         self._free: Tensor
         self._free_rows: np.ndarray
-        self._masses: np.ndarray
+        self._inertia: np.ndarray
         self._free_counts: list[int]
 
     def minimise(
@@ -211,16 +211,19 @@ class Solver:
             basis = PatchBasis(garments, self._pattern.free)
             self._preconditioner = AgeingPreconditioner(basis, self._pattern.free)
             self._free = torch.from_numpy(self._pattern.free)
-            self._free_rows, self._masses = np.flatnonzero(self._pattern.free), garments.vertex_masses.numpy()
+            self._free_rows = np.flatnonzero(self._pattern.free)
             worlds = garments.vertex_world[self._free]
             self._free_counts = torch.bincount(worlds, minlength=garments.world_count).tolist()
             self._garments = garments
+        step = potential.step
+        # A rule of another order than implicit Euler's divides by less than dt^2: the same distance counts alike.
+        self._inertia = (garments.vertex_masses * (step.dt / step.inertial_dt) ** 2).numpy()
 
     def _residual(self, gradient: Tensor) -> float:
         """Residual as in `Solution`, of the world where it is largest."""
         if not len(self._free_rows):
             return 0.0
-        squared = squared_ratios(gradient.numpy(), self._masses, self._free_rows)
+        squared = squared_ratios(gradient.numpy(), self._inertia, self._free_rows)
         worlds = torch.split(torch.from_numpy(squared), self._free_counts)
         return max(float(world.mean().sqrt()) for world in worlds if len(world)) / STANDARD_GRAVITY
 
