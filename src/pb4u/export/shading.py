@@ -82,6 +82,7 @@ LOOKS = {
     "wool-suiting": Look((0.44, 0.46, 0.51), "twill", 0.0),
     "tulle": Look((0.88, 0.80, 0.81), ""),
     "neoprene": Look((0.24, 0.26, 0.28), "", 0.12),
+    "elastic": Look((0.24, 0.24, 0.26), "rib", 0.0),
 }
 """By the name of the material."""
 

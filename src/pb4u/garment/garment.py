@@ -225,8 +225,8 @@ class Garment:
 
     @property
     def has_elastic(self) -> bool:
-        """Whether elastic is sewn to a part of it."""
-        return self.trims is not None and bool((self.trims.elastic != 1.0).any())
+        """Whether elastic gathers a part of it."""
+        return self.trims is not None and bool((self.trims.elastic < 1.0).any())
 
     @cached_property
     def face_areas(self) -> np.ndarray:

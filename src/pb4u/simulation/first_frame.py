@@ -22,7 +22,6 @@ from pb4u.simulation.refinement import SolverRefinement, collision_free_move
 from pb4u.simulation.step import StepMethod, Taken, take
 from pb4u.simulation.timeline import Timeline
 
-
 _CLOSES = 0.02
 """Distance [m] from the body up to which elastic lies on it from the start."""
 
