@@ -20,7 +20,9 @@ from pb4u.garment.trims import Trims
 from pb4u.geometry.topology import connected_labels, uv_islands
 from pb4u.geometry.triangle_mesh import both_below, carried_directions, nearest_segments, shares_below
 
-WIDTHS = {"hem": 0.02, "waist": 0.035, "cuff": 0.03, "collar": 0.02, "border": 0.01}
+WAIST, BORDER = "waist", "border"
+
+WIDTHS = {"hem": 0.02, WAIST: 0.035, "cuff": 0.03, "collar": 0.02, BORDER: 0.01}
 """Names of bands, and their usual widths [m]."""
 
 WEBBING = "elastic"
