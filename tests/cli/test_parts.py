@@ -125,13 +125,16 @@ def test_bands_by_flags_and_scene_file(pb4u: Callable, skirt: Path, tmp_path: Pa
     [
         (("--elastic", "skirt.belt=0.8"), 1, "'belt'; there are waist, hem, border."),
         (("--elastic", "skirt.waist=0.2"), 1, "elastic of waist must be a number from 0.5 to 1.5, not 0.2."),
+        (("--elastic", "skirt.waist=3"), 1, "elastic of waist must be a number from 0.5 to 1.5, not 3."),
+        (("--band-width", "skirt.hem=0.9"), 1, "its hem of 0.9 m is wider than the panel that it lies on"),
+        (("--layers", "skirt.hem=3", "--layers", "skirt.border=2"), 1, "hem and border both claim"),
         (("--elastic", "0.8"), 2, "it takes a number for a part, NAME.PART=N"),
         (("--layers", "skirt.hem=two"), 2, "it takes a number for a part, NAME.PART=N"),
         (("--layers", "shirt.hem=2"), 1, "'shirt'"),
     ],
 )
 def test_bands_that_are_not_there_are_refused(
-    pb4u: Callable, tmp_path: Path, flags: tuple[str, str], code: int, said: str
+    pb4u: Callable, tmp_path: Path, flags: tuple[str, ...], code: int, said: str
 ) -> None:
     ended = pb4u("simulate", "--garment", "skirt", "--triangles", 900, *flags, *SMALL, "--out", tmp_path / "a.npz")
     assert ended.code == code
