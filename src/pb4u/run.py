@@ -72,7 +72,7 @@ class WornGarment:
             own, a fabric if it is built in and flat, else "default".
         pins: Vertices that follow the body: none, waist (highest border), collar (uppermost 4 cm of a border), hem
             (lowest border), loop:N (of the borders by their vertices, loop:0 the one with the most), a file of indices
-            or a list. Default: the garment's own.
+            or a list. Default: the garment's own; none of what has elastic in its waist.
         triangles: Triangles to simulate. Default: the file's own, or 2,500 of a built-in garment.
         texture: Image laid on the garment by its UVs, or from front and back where it has none. Default: the images
             and colours of its own file (OBJ with MTL, glTF).
@@ -88,7 +88,8 @@ class WornGarment:
         layers: Layers of cloth of a part, such as 2 of a hem that is turned over.
         interfacing: Bending stiffness that is added to a part [N m], about 2e-5 for a soft interfacing and 2e-4 for a
             firm one.
-        elastic: Rest length of a part along the border over that of its cloth, such as 0.8 of an elastic waistband.
+        elastic: Rest length of a part along the border over that of its cloth, such as 0.8 of an elastic waistband;
+            of webbing unless the part has a material.
 
     Raises:
         InputError: a value of a wrong type or out of range.

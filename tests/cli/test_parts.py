@@ -15,7 +15,7 @@ import pb4u as package
 from pb4u.body.library import load_body
 from pb4u.cli.run_flags import GarmentValue, run_of
 from pb4u.garment.library import build_garment
-from pb4u.garment.material import MATERIALS
+from pb4u.garment.material import FABRICS, MATERIALS
 from pb4u.geometry.obj_file import read_obj
 from pb4u.measures.metrics import garments_of
 from pb4u.run import Run, WornGarment
@@ -104,12 +104,15 @@ def test_bands_by_flags_and_scene_file(pb4u: Callable, skirt: Path, tmp_path: Pa
     assert (written.band_width, written.interfacing) == ({"hem": 0.04}, {"waistband": 1e-4})
     trajectory = Trajectory.open(tmp_path / "a.npz")
     (garment,) = garments_of(trajectory)
-    hem = 0.5 * garment.layers[:, 1]
+    # Elastic without a fabric is of webbing.
+    webbing = garment.materials.index(FABRICS["elastic"])
+    waist, hem = garment.layers[:, webbing], 0.5 * garment.layers[:, 3 - webbing]
     assert 0.0 < hem.mean() < 0.2
-    np.testing.assert_allclose(garment.layers[:, 0], 1.0 - hem)
+    np.testing.assert_allclose(garment.layers[:, 0], 1.0 - hem - waist)
     plain, denim = MATERIALS["default"].density, MATERIALS["denim"].density
     assert garment.trims is not None
-    expected = (plain + hem * (2.0 * denim - plain)) / garment.trims.elastic
+    expected = plain + hem * (2.0 * denim - plain) + waist * (FABRICS["elastic"].density - plain)
+    expected /= garment.trims.elastic
     np.testing.assert_allclose(garment.of_faces("density"), expected, rtol=1e-9)
     assert garment.trims.elastic.min() == pytest.approx(0.9, abs=1e-3)
     flag = GarmentValue.parse_part("two.waistband=3")
@@ -122,13 +125,16 @@ def test_bands_by_flags_and_scene_file(pb4u: Callable, skirt: Path, tmp_path: Pa
     [
         (("--elastic", "skirt.belt=0.8"), 1, "'belt'; there are waist, hem, border."),
         (("--elastic", "skirt.waist=0.2"), 1, "elastic of waist must be a number from 0.5 to 1.5, not 0.2."),
+        (("--elastic", "skirt.waist=3"), 1, "elastic of waist must be a number from 0.5 to 1.5, not 3."),
+        (("--band-width", "skirt.hem=0.9"), 1, "its hem of 0.9 m is wider than the panel that it lies on"),
+        (("--layers", "skirt.hem=3", "--layers", "skirt.border=2"), 1, "hem and border both claim"),
         (("--elastic", "0.8"), 2, "it takes a number for a part, NAME.PART=N"),
         (("--layers", "skirt.hem=two"), 2, "it takes a number for a part, NAME.PART=N"),
         (("--layers", "shirt.hem=2"), 1, "'shirt'"),
     ],
 )
 def test_bands_that_are_not_there_are_refused(
-    pb4u: Callable, tmp_path: Path, flags: tuple[str, str], code: int, said: str
+    pb4u: Callable, tmp_path: Path, flags: tuple[str, ...], code: int, said: str
 ) -> None:
     ended = pb4u("simulate", "--garment", "skirt", "--triangles", 900, *flags, *SMALL, "--out", tmp_path / "a.npz")
     assert ended.code == code

@@ -8,6 +8,7 @@ import pytest
 
 from pb4u.dataset.jobs_file import read_jobs
 from pb4u.errors import InputError
+from pb4u.measures.run_job import RunJob
 from pb4u.run import Run, WornGarment
 
 
@@ -121,3 +122,24 @@ def test_a_file_without_a_rest_shape_means_moulded(tmp_path: Path) -> None:
     one, other = jobs(tmp_path, '[[clips]]\ngarment = "skirt"\n[[clips]]\nrest_shape = "flat"\ngrain = [0, 1, 0]\n')
     assert (one.rest_shape, other.rest_shape) == ("moulded", "flat")
     assert other.garments[0].grain == (0.0, 1.0, 0.0)
+
+
+def test_fabrics_of_parts_are_entries_and_labels_of_a_clip(tmp_path: Path) -> None:
+    two, one = jobs(
+        tmp_path,
+        """
+        [fixed]
+        garment = "skirt"
+        layers = { hem = 3 }
+        [[clips]]
+        material = { body = "silk", hem = "denim" }
+        [[clips]]
+        material = "wool"
+        elastic = { waist = 0.9 }
+        """,
+    )
+    assert [run.garments[0].materials for run in (two, one)] == [{"body": "silk", "hem": "denim"}, {"body": "wool"}]
+    told = [RunJob(run).labels for run in (two, one)]
+    assert [each["material"] for each in told] == ["body:silk,hem:denim", "wool"]
+    assert [each["layers"] for each in told] == [[{"hem": 3}]] * 2
+    assert [each["elastic"] for each in told] == [[{}], [{"waist": 0.9}]]

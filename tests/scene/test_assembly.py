@@ -21,13 +21,15 @@ from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputError, InputNote, InputWarning
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import read_garment
-from pb4u.garment.library import build_garment
-from pb4u.garment.material import MATERIALS, Material
+from pb4u.garment.library import RestShape, build_garment
+from pb4u.garment.material import FABRICS, MATERIALS, Material
+from pb4u.garment.parts import Parts
 from pb4u.garment.pins import resolve_pins
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.motion.library import load_motion
 from pb4u.run import Run, WornGarment
 from pb4u.scene.assembly import build_scene, make_scene
+from pb4u.scene.loaded_garments import load_garment
 from pb4u.scene.scene import Scene
 
 
@@ -65,11 +67,47 @@ def test_a_file_that_lies_on_the_shoulders_is_not_told(woman: ShapedBody, tmp_pa
         make_scene(exported("tanktop", woman, tmp_path), woman, frames=2, lead_in=0)
 
 
-def test_a_built_in_skirt_is_pinned_and_not_told(woman: ShapedBody) -> None:
+@pytest.mark.parametrize(
+    ("held", "rest_shape", "by_pins"),
+    [
+        ({"pins": "waist"}, "flat", True),
+        ({"pin_stiffness": 300.0}, "flat", True),
+        ({}, "moulded", True),
+        ({}, "flat", False),
+    ],
+)
+def test_a_built_in_skirt_is_held_by_pins_or_elastic_and_not_told(
+    woman: ShapedBody, held: dict, rest_shape: RestShape, by_pins: bool
+) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        scene = make_scene("skirt", woman, triangles=600, material="default", frames=2, lead_in=0)
-    assert scene.garments[0].garment.pinned.any()
+        worn = WornGarment("skirt", material="default", triangles=600, **held)
+        scene = make_scene(worn, woman, rest_shape=rest_shape, frames=2, lead_in=0)
+    (dressed,) = scene.garments
+    assert dressed.garment.pinned.any() == by_pins
+    assert dressed.garment.has_elastic != by_pins
+
+
+def test_built_in_garments_have_bands_unless_others_are_asked_for(woman: ShapedBody) -> None:
+    def cut(name: str, rest_shape: RestShape = "flat", **asked: object) -> Garment:
+        return load_garment(WornGarment(name, triangles=900, **asked), woman, rest_shape)  # type: ignore[arg-type]
+
+    shirt, plain = cut("tshirt"), build_garment("tshirt", woman, 900)
+    assert {FABRICS["cotton-jersey"], FABRICS["rib"]} == set(shirt.materials)
+    hem = Parts(plain).named("hem").share
+    np.testing.assert_allclose(shirt.layers.sum(1)[hem > 0], 1.0 + hem[hem > 0])
+    # A material for all of it leaves the rib out, and elastic with it.
+    sleeve = cut("longsleeve", material="silk")
+    assert sleeve.material_layers is None
+    assert not sleeve.has_elastic
+    single = cut("tshirt", material={"collar": "denim"}, layers={"hem": 1, "cuff": 1})
+    np.testing.assert_allclose(single.layers.sum(1), 1.0)
+    assert MATERIALS["denim"] in single.materials
+    assert FABRICS["rib"] not in single.materials
+    bound = cut("tshirt", layers={"border": 2})
+    assert bound.materials == (FABRICS["cotton-jersey"],)
+    assert cut("tshirt", "moulded").material_layers is None
+    assert not cut("skirt", elastic={"waist": 1.0}).has_elastic
 
 
 def test_folds_of_woven_cloth_that_a_mesh_is_too_coarse_for_are_told(woman: ShapedBody) -> None:

@@ -12,8 +12,8 @@ import numpy as np
 
 from pb4u.errors import extra
 from pb4u.export.incomplete_file import incomplete
-from pb4u.export.pieces import names_apart, pieces
-from pb4u.export.shading import unit_normals
+from pb4u.export.pieces import names_apart, part_of_polygon, pieces
+from pb4u.export.shading import cloth_parts, unit_normals
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.author_mesh import Polygons
 
@@ -40,6 +40,7 @@ def write_alembic(trajectory: Trajectory, path: Path, progress: Progress = no_pr
 
     Each garment and the body is a transform that is the identity, with one mesh below it: /Garment/GarmentShape. Maya
     shows no mesh that lies at the top, and takes a transform with several for one object.
+    A garment of several fabrics has a face set for each.
     Points and vertex normals are sampled at every frame; the author's polygons stay polygons, wound clockwise as
     Alembic has them; UVs are face-varying, one a corner.
 
@@ -87,9 +88,16 @@ def _write(trajectory: Trajectory, path: Path) -> None:
     worn = pieces(header)
     body_name, *names = names_apart(["Body", *(piece.name.replace("/", " ") for piece in worn)], " ")
     garments = []
+    looks = cloth_parts(header)
     for name, piece in zip(names, worn, strict=True):
         own = piece.header
-        garments.append((piece.vertices, _Mesh(top, name, own.outlines, own.faces, own.uvs, sampling)))
+        mesh = _Mesh(top, name, own.outlines, own.faces, own.uvs, sampling)
+        parts = piece.looks(looks)
+        if len(parts) > 1:
+            of_polygon = part_of_polygon(own, parts)
+            for k, part in enumerate(parts):
+                mesh.name_faces(part.name.replace("/", " "), np.flatnonzero(of_polygon == k))
+        garments.append((piece.vertices, mesh))
     skin = Polygons.of_triangles(header.body_faces, None)
     body = _Mesh(top, body_name, skin, header.body_faces, None, sampling)
     for positions, body_positions in zip(trajectory.positions, trajectory.body_positions, strict=True):
@@ -128,10 +136,19 @@ class _Mesh:
         self._counts = _ints(imath, outlines.sizes)
         self._corners = _ints(imath, outlines.corners[mirrored])
         self._uvs: Any = None
+        self._sets: list[Any] = []
         if uvs is not None and outlines.uv_corners is not None:
             # A plain list of a UV a corner: indexed ones are taken by fewer readers.
             points = _vectors("V2f", uvs[outlines.uv_corners[mirrored]])
             self._uvs = AbcGeom.OV2fGeomParamSample(points, AbcGeom.GeometryScope.kFacevaryingScope)
+
+    def name_faces(self, name: str, polygons: np.ndarray) -> None:
+        """Make a face set of some of its polygons (n,)."""
+        import imath
+        from alembic3d import AbcGeom
+
+        self._sets.append(self._schema.createFaceSet(name))
+        self._sets[-1].getSchema().set(AbcGeom.OFaceSetSchemaSample(_ints(imath, polygons)))
 
     def sample(self, positions: np.ndarray) -> None:
         """Add a frame of (vertices, 3) positions [m]."""

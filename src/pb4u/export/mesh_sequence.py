@@ -17,6 +17,8 @@ import numpy as np
 from pb4u.errors import InputError
 from pb4u.export.finite_frames import held_frames
 from pb4u.export.panels import SewnPanels
+from pb4u.export.pieces import part_of_polygon
+from pb4u.export.shading import cloth_parts
 from pb4u.geometry.obj_file import group_name
 from pb4u.io.point_cache import MDD_HEADER, pc2_header
 from pb4u.progress import Progress, no_progress
@@ -91,7 +93,8 @@ def _is_frame(mesh: Path, number: int) -> bool:
 def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:
     """Write every frame of the garment, vertex order, polygons and UVs kept; metres, Y up.
 
-    A garment sewn of a pattern has a group for each panel, and its seams as lines of the group `seams`.
+    A garment sewn of a pattern has a group for each panel, and its seams as lines of the group `seams`; one of several
+    fabrics names the fabric of its faces (`usemtl`).
 
     Args:
         trajectory: what is written, every frame finite.
@@ -167,17 +170,25 @@ def _write(trajectory: Trajectory, path: Path, header: bytes, dtype: str, progre
 
 
 def _topology(trajectory: Trajectory) -> str:
-    uvs, outlines = trajectory.header.uvs, trajectory.header.outlines
+    header = trajectory.header
+    uvs, outlines, panels = header.uvs, header.outlines, SewnPanels.of(header)
+    rows = [[str(v) for v in row] for row in outlines.each(outlines.corners + 1)]
+    lines = []
     if uvs is None or outlines.uv_corners is None:
-        return "".join(f"f {' '.join(map(str, row))}\n" for row in outlines.each(outlines.corners + 1))
-    lines = [f"vt {u:.6f} {v:.6f}\n" for u, v in uvs.tolist()]
-    panels = SewnPanels.of(trajectory.header)
-    rows = zip(outlines.each(outlines.corners + 1), outlines.each(outlines.uv_corners + 1), strict=True)
+        panels = None
+    else:
+        lines = [f"vt {u:.6f} {v:.6f}\n" for u, v in uvs.tolist()]
+        pairs = zip(rows, outlines.each(outlines.uv_corners + 1), strict=True)
+        rows = [[f"{v}/{t}" for v, t in zip(row, uv_row, strict=True)] for row, uv_row in pairs]
     names = [] if panels is None else [*map(group_name, panels.names), "cloth"]
-    for face, (row, uv_row) in enumerate(rows):
+    parts = cloth_parts(header)
+    part = part_of_polygon(header, parts)
+    for face, row in enumerate(rows):
         if panels is not None and (face == 0 or panels.of_face[face] != panels.of_face[face - 1]):
             lines.append(f"g {names[panels.of_face[face]]}\n")
-        lines.append(f"f {' '.join(f'{v}/{t}' for v, t in zip(row, uv_row, strict=True))}\n")
+        if len(parts) > 1 and (face == 0 or part[face] != part[face - 1]):
+            lines.append(f"usemtl {group_name(parts[part[face]].name)}\n")
+        lines.append(f"f {' '.join(row)}\n")
     if panels is not None:
         lines += ["g seams\n", *(f"l {a} {b}\n" for a, b in (panels.seams + 1).tolist())]
     return "".join(lines)

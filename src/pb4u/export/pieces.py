@@ -39,6 +39,22 @@ class Piece:
         return [replace(part, faces=np.searchsorted(self.faces, part.faces)) for part in own]
 
 
+def part_of_polygon(header: TrajectoryHeader, parts: Sequence[ClothPart]) -> np.ndarray:
+    """Which of the parts each polygon (polygons,) int64 of a trajectory belongs to, by its first triangle.
+
+    Args:
+        header: of the trajectory, or of a piece.
+        parts: that all of its faces belong to.
+    """
+    of_face = np.empty(len(header.faces), dtype=np.int64)
+    for k, part in enumerate(parts):
+        of_face[part.faces] = k
+    # The triangles of a polygon follow each other, two fewer than its corners.
+    triangles = header.outlines.sizes - 2
+    of_polygon: np.ndarray = of_face[np.cumsum(triangles) - triangles]
+    return of_polygon
+
+
 def pieces(header: TrajectoryHeader) -> list[Piece]:
     """The garments of a trajectory; one that is called "Garment" where there is no more than one.
 

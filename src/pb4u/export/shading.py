@@ -82,8 +82,12 @@ LOOKS = {
     "wool-suiting": Look((0.44, 0.46, 0.51), "twill", 0.0),
     "tulle": Look((0.88, 0.80, 0.81), ""),
     "neoprene": Look((0.24, 0.26, 0.28), "", 0.12),
+    "elastic": Look((0.24, 0.24, 0.26), "rib", 0.0),
 }
 """By the name of the material."""
+
+_TRIMMINGS = ("rib", "elastic")
+"""Materials of collars, cuffs and waistbands, which are dyed as the cloth that they are sewn to."""
 
 _FURTHER_CLOTHS = ((0.62, 0.34, 0.27), (0.80, 0.66, 0.38), (0.42, 0.53, 0.44), (0.47, 0.40, 0.54))
 """Colours of garments that are made of what one below them is, in turn, so that layers can be distinguished."""
@@ -168,9 +172,8 @@ def cloth_parts(header: TrajectoryHeader, chosen: Sequence[Colour] = ()) -> list
         if made == main[k]:
             parts.append(ClothPart(name, faces, colours[k], None, fabric))
         else:
-            parts.append(
-                ClothPart(f"{name}, {made}", faces, colours[k] if k < len(chosen) else fabric.colour, None, fabric)
-            )
+            dyed = colours[k] if k < len(chosen) or made in _TRIMMINGS else fabric.colour
+            parts.append(ClothPart(f"{name}, {made}", faces, dyed, None, fabric))
     return parts
 
 

@@ -15,7 +15,7 @@ from pb4u.errors import InputError, extra
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.incomplete_file import incomplete
 from pb4u.export.panels import SewnPanels
-from pb4u.export.pieces import Piece, names_apart, pieces
+from pb4u.export.pieces import Piece, names_apart, part_of_polygon, pieces
 from pb4u.export.shading import SKIN, ClothPart, Colour, cloth_parts, unit_normals
 from pb4u.geometry.appearance import image_suffix
 from pb4u.progress import Progress, no_progress
@@ -187,20 +187,18 @@ def _colour_cloth(
     images: dict[bytes, str],
     path: Path,
 ) -> None:
-    """Display colours polygon by polygon, and a material with its image, beside the file, where the author gave one."""
+    """Display colours polygon by polygon; a material of each part where there are several, or where authors gave one.
+
+    Images lie beside the file.
+    """
     from pxr import UsdGeom, UsdShade, Vt
 
-    header, outlines = piece.header, piece.header.outlines
-    part_of_face = np.empty(len(header.faces), dtype=np.int64)
-    for k, part in enumerate(parts):
-        part_of_face[part.faces] = k
-    # The triangles of a polygon follow each other, two fewer than its corners.
-    of_polygon = part_of_face[np.cumsum(outlines.sizes - 2) - (outlines.sizes - 2)]
+    of_polygon = part_of_polygon(piece.header, parts)
     colours = np.array([_linear(part.colour) for part in parts])[of_polygon].astype(np.float32)
     mesh.CreateDisplayColorAttr(Vt.Vec3fArray.FromNumpy(colours))
     UsdGeom.PrimvarsAPI(mesh).GetPrimvar("displayColor").SetInterpolation(UsdGeom.Tokens.uniform)
     own = mesh.GetPrim().GetName()
-    for k, part in enumerate(parts if header.appearances is not None else ()):
+    for k, part in enumerate(parts if piece.header.appearances is not None or len(parts) > 1 else ()):
         if part.image is not None and part.image not in images:
             images[part.image] = f"{path.stem}.texture{len(images)}{image_suffix(part.image)}"
             path.with_name(images[part.image]).write_bytes(part.image)

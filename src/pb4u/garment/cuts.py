@@ -6,7 +6,8 @@ Lengths are in metres for an adult of 1.75 m and grow with the body; places alon
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,23 @@ class Neckline:
     front: float
     back: float
     spread: float
+
+
+@dataclass(frozen=True)
+class Bands:
+    """What is sewn along the borders of a cut, by the names of its bands, which `parts` finds.
+
+    Args:
+        layers: of cloth.
+        fabrics: names of `FABRICS`, of what is made of another cloth than the rest.
+        elastic: rest length along the border over that of the cloth.
+        widths: of the bands that have another than their usual one [m].
+    """
+
+    layers: Mapping[str, int] = field(default_factory=dict)
+    fabrics: Mapping[str, str] = field(default_factory=dict)
+    elastic: Mapping[str, float] = field(default_factory=dict)
+    widths: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -43,6 +61,7 @@ class Cut:
         front_gap: width of the opening in front [m]; 0 for none.
         legs: whether each leg has a tube of its own.
         loose: whether it hangs far from the nearest limb.
+        bands: what is sewn along its borders where it is cut flat.
     """
 
     top: str
@@ -59,12 +78,14 @@ class Cut:
     front_gap: float = 0.0
     legs: bool = False
     loose: bool = False
+    bands: Bands = Bands()
 
     @property
     def pins(self) -> str:
         """What follows the body, a name that `resolve_pins` takes: a waistband, or the collar of an open front.
 
-        With nothing that closes it, cloth slides off shoulders that fall by 20 degrees, where closed cloth stays.
+        With nothing that closes it, cloth slides off shoulders that fall by 20 degrees, where closed cloth stays. What
+        is cut flat has elastic in the place of such a waistband.
         """
         if self.top == "waist":
             return "waist"
@@ -74,35 +95,49 @@ class Cut:
 CREW = Neckline(front=0.055, back=0.0, spread=0.028)
 SCOOP = Neckline(front=0.115, back=0.05, spread=0.038)
 
+HEMMED = Bands(layers={"hem": 2})
+
 CUTS: dict[str, Cut] = {
     "tshirt": Cut(
         "shoulder", "crotch", "cotton-jersey", 0.03, (0.025, 0.030, 0.032, 0.034), taper=(0.08, 0.08),
         neckline=CREW, sleeve=0.62, sleeve_ease=(0.008, 0.026),
+        bands=Bands(layers={"hem": 2, "cuff": 2}, fabrics={"collar": "rib"}, widths={"cuff": 0.02}),
     ),
     "tanktop": Cut(
         "shoulder", "crotch", "rib", 0.05, (0.014, 0.026, 0.030, 0.033), taper=(0.14, 0.14),
-        neckline=SCOOP, armhole_depth=0.035, strap=0.045,
+        neckline=SCOOP, armhole_depth=0.035, strap=0.045, bands=HEMMED,
     ),
     "longsleeve": Cut(
         "shoulder", "crotch", "interlock", 0.03, (0.022, 0.028, 0.031, 0.034), taper=(0.10, 0.10),
         neckline=CREW, sleeve=1.93, sleeve_ease=(0.008, 0.016),
+        bands=Bands(
+            fabrics={"collar": "rib", "cuff": "rib", "hem": "rib"}, elastic={"collar": 0.95, "cuff": 0.8},
+            widths={"cuff": 0.05, "hem": 0.04},
+        ),
     ),
     "dress": Cut(
         "shoulder", "calf", "viscose", 0.0, (0.014, 0.020, 0.035, 0.035), taper=(0.30, -0.20),
-        neckline=SCOOP, armhole_depth=0.03, strap=0.055, loose=True,
+        neckline=SCOOP, armhole_depth=0.03, strap=0.055, loose=True, bands=HEMMED,
     ),
     "fitted_dress": Cut(
         "shoulder", "knee", "ponte", 0.08, (0.010, 0.012, 0.016, 0.034), taper=(0.90, 0.08),
         neckline=Neckline(0.085, 0.02, 0.034), sleeve=0.40, sleeve_ease=(0.007, 0.014), loose=True,
+        bands=Bands(layers={"hem": 2, "cuff": 2}, widths={"cuff": 0.02}),
     ),
     "cardigan": Cut(
         "shoulder", "crotch", "wool-knit", 0.02, (0.032, 0.036, 0.038, 0.040), taper=(0.06, 0.06),
         neckline=Neckline(0.075, 0.0, 0.030), sleeve=1.93, sleeve_ease=(0.011, 0.022), front_gap=0.08,
+        bands=Bands(
+            fabrics={"collar": "rib", "cuff": "rib", "hem": "rib"}, elastic={"cuff": 0.8},
+            widths={"cuff": 0.06, "hem": 0.05},
+        ),
     ),
     "trousers": Cut(
         "waist", "ankle", "denim-11oz", 0.025, (0.007, 0.007, 0.016, 0.030), taper=(0.10, 0.10), legs=True,
+        bands=Bands(layers={"hem": 2}, elastic={"waist": 0.72}),
     ),
     "skirt": Cut(
         "waist", "knee", "wool-suiting", 0.0, (0.007, 0.007, 0.020, 0.035), taper=(0.0, -0.26), loose=True,
+        bands=Bands(layers={"hem": 2}, elastic={"waist": 0.75}),
     ),
 }  # fmt: skip

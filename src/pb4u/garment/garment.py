@@ -223,6 +223,11 @@ class Garment:
         """Whether it is known which way its warp runs; where it is not, its cloth is alike in all directions."""
         return self.rest_uv is not None and not self.grainless
 
+    @property
+    def has_elastic(self) -> bool:
+        """Whether elastic gathers a part of it."""
+        return self.trims is not None and bool((self.trims.elastic < 1.0).any())
+
     @cached_property
     def face_areas(self) -> np.ndarray:
         """Rest areas (faces,) [m^2] of the faces."""

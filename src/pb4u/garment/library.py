@@ -48,7 +48,8 @@ def build_garment(
 ) -> Garment:
     """A built-in garment fitted to the resting `body`, with about `triangles` triangles of even size.
 
-    Every count approximates the same smooth surface. Surface and garment are kept as long as the body lives.
+    Every count approximates the same smooth surface. Surface and garment are kept as long as the body lives. It is the
+    plain cut: hems, cuffs and elastic are sewn to it by `make_scene`.
 
     Args:
         name: one of `garment_names()`.

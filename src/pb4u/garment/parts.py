@@ -6,22 +6,27 @@ garment comes from: an opening beside the middle is that of a limb, the others g
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pb4u.errors import InputError, refuse_unknown
 from pb4u.garment.garment import Garment
-from pb4u.garment.material import Material
+from pb4u.garment.material import FABRICS, Material
 from pb4u.garment.trims import Trims
 from pb4u.geometry.topology import connected_labels, uv_islands
 from pb4u.geometry.triangle_mesh import both_below, carried_directions, nearest_segments, shares_below
 
-WIDTHS = {"hem": 0.02, "waist": 0.035, "cuff": 0.03, "collar": 0.02, "border": 0.01}
+WAIST, BORDER = "waist", "border"
+
+WIDTHS = {"hem": 0.02, WAIST: 0.035, "cuff": 0.03, "collar": 0.02, BORDER: 0.01}
 """Names of bands, and their usual widths [m]."""
+
+WEBBING = "elastic"
+"""Fabric of elastic that gathers cloth."""
 
 _BESIDE = 0.2
 """Share of half a garment's width by which the border round a limb lies beside its middle."""
@@ -189,7 +194,7 @@ def with_parts(
 
     Args:
         garment: where it is worn.
-        materials: of parts by name.
+        materials: of parts by name; elastic that gathers its part is of webbing where none is given.
         widths: of bands by name [m].
         layers: number of layers of parts by name.
         interfacing: bending stiffness that is added to parts by name [N m].
@@ -199,6 +204,8 @@ def with_parts(
         InputError: a part is not there or has nothing, a band is wider than its panel, two parts claim a face, or
             elastic lies on a part that reaches no border.
     """
+    webbing = {name: FABRICS[WEBBING] for name, ratio in elastic.items() if ratio < 1.0}
+    materials = webbing | dict(materials)
     asked = (materials, layers, interfacing, elastic)
     names = tuple(dict.fromkeys(name for given in (*asked, widths) for name in given))
     if not names:
@@ -210,33 +217,90 @@ def with_parts(
             raise InputError(f"{garment.name}: its {name} has a band_width and nothing that makes it a band.")
     cloths, cloth = list(garment.materials or (garment.material,)), garment.layers
     before = garment.trims or Trims.none(len(garment.faces))
-    stiff, pulls = before.interfacing, _pull(before.elastic)
+    stiff, gathers = before.interfacing, [_Gather(cloth, _pull(before.elastic), np.tile([1.0, 0.0], (len(cloth), 1)))]
     for is_band in (False, True):
         chosen = [part for part in parts if part.is_band == is_band]
         _refuse_claims(garment, chosen)
         left = np.maximum(1.0 - sum((part.share for part in chosen), np.zeros(len(stiff))), 0.0)
-        count, beneath = cloth.sum(axis=1), (cloth, stiff, pulls)
-        cloth, stiff, pulls = left[:, None] * cloth, left * stiff, left * pulls
+        count, beneath = cloth.sum(axis=1), (cloth, stiff, gathers)
+        cloth, stiff, gathers = left[:, None] * cloth, left * stiff, [each.times(left) for each in gathers]
         for part in chosen:
             made = part.share * layers.get(part.name, count)
             if part.name in materials:
                 cloths.append(materials[part.name])
+                own = np.column_stack([np.zeros((len(made), len(cloths) - 1)), made])
                 cloth = np.column_stack([cloth, made])
             else:
-                cloth[:, : beneath[0].shape[1]] += (made / count)[:, None] * beneath[0]
+                own = np.zeros_like(cloth)
+                own[:, : beneath[0].shape[1]] = (made / count)[:, None] * beneath[0]
+                cloth = cloth + own
             stiff += part.share * interfacing.get(part.name, beneath[1])
-            # What is shared out by area is the pull of the elastic where it is as long as the cloth.
-            pulls += part.share * (_pull(elastic[part.name]) if part.name in elastic else beneath[2])
+            if part.name in elastic:
+                gathers.append(_Gather(own, _pull(elastic[part.name]), _ways(garment, part)))
+            else:
+                gathers += [each.times(part.share) for each in beneath[2]]
     if materials or layers:
         garment = garment.with_layers(cloths, cloth)
     if interfacing or elastic:
-        garment = replace(garment, trims=Trims(stiff, 1.0 / _stretches(pulls)))
+        garment = replace(garment, trims=Trims(stiff, 1.0 / _stretches(_pulls(garment, cloths, cloth, gathers))))
     if garment.trims is not None and elastic:
         gathered = _gathered(
             garment, [part for part in parts if part.name in elastic], garment.trims.elastic / before.elastic
         )
         garment = replace(garment, rest_uv=gathered, grainless=not garment.has_grain)
     return garment
+
+
+class _Gather(NamedTuple):
+    """Elastic of a part, on the faces (faces,) of a garment.
+
+    Args:
+        layers: (faces, materials) of the cloths that it gathers, as in `Garment.layers`.
+        pull: of it, as in `_pull`: one number, or (faces,).
+        ways: (faces, 2) unit directions of it at rest.
+    """
+
+    layers: np.ndarray
+    pull: Any
+    ways: np.ndarray
+
+    def times(self, share: np.ndarray) -> _Gather:
+        """What is left of it on a share (faces,) of each face."""
+        return self._replace(layers=share[:, None] * self.layers)
+
+
+def _pulls(garment: Garment, cloths: Sequence[Material], layers: np.ndarray, gathers: list[_Gather]) -> np.ndarray:
+    """The pull (faces,) of elastic of one ratio on all of each face that draws as those of its parts do together."""
+    own = [each if garment.has_grain else each.without_grain for each in cloths]
+    forces, ways = np.zeros(len(layers)), gathers[0].ways
+    for each in gathers:
+        pull = np.broadcast_to(each.pull, len(layers))
+        forces += pull * _moduli(own, each.layers, each.ways)
+        ways = np.where(((pull != 0.0) & each.layers.any(axis=1))[:, None], each.ways, ways)
+    pulls: np.ndarray = forces / _moduli(own, layers, ways)
+    return pulls
+
+
+def _moduli(cloths: Sequence[Material], layers: np.ndarray, ways: np.ndarray) -> np.ndarray:
+    """Moduli (faces,) [N/m] of layers (faces, cloths) of cloths along unit directions (faces, 2)."""
+    along_weft, along_warp = ways.T**2
+    squares = np.stack([along_weft**2, along_warp**2, 2.0 * along_weft * along_warp, 4.0 * along_weft * along_warp])
+    membranes = np.array([cloth.membrane for cloth in cloths[: layers.shape[1]]])
+    moduli: np.ndarray = (layers * (membranes @ squares).T).sum(axis=1)
+    return moduli
+
+
+def _ways(garment: Garment, part: Part) -> np.ndarray:
+    """Unit directions (faces, 2) at rest along the border that a part reaches."""
+    if part.along is None:
+        raise InputError(
+            f"{garment.name}: elastic runs along a border of the garment, and {part.name} reaches none; give it to a "
+            "part that does."
+        )
+    ways = carried_directions(part.along, garment.vertices[garment.faces], garment.rest_shape)
+    long = np.linalg.norm(ways, axis=1, keepdims=True)
+    units: np.ndarray = np.where(long > 0.0, ways / np.maximum(long, 1e-30), [1.0, 0.0])
+    return units
 
 
 def _pull(ratio: Any) -> Any:
@@ -267,17 +331,11 @@ def _refuse_claims(garment: Garment, parts: list[Part]) -> None:
 
 def _gathered(garment: Garment, parts: list[Part], ratio: np.ndarray) -> np.ndarray:
     """Corners (faces, 3, 2) [m] of faces at rest that are shorter along the border, by a `ratio` (faces,)."""
-    rest, corners = garment.rest_shape, garment.vertices[garment.faces]
+    rest = garment.rest_shape
     gathered = rest.copy()
     for part in parts:
-        if part.along is None:
-            raise InputError(
-                f"{garment.name}: elastic runs along a border of the garment, and {part.name} reaches none; give it to "
-                "a part that does."
-            )
         at = part.share > 0.0
-        ways = carried_directions(part.along[at], corners[at], rest[at])
-        ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-30)
+        ways = _ways(garment, part)[at]
         along = (rest[at] * ways[:, None]).sum(axis=2, keepdims=True)
         gathered[at] = rest[at] - (1.0 - ratio[at, None, None]) * along * ways[:, None]
     return gathered

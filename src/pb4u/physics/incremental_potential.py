@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import torch
+from torch import Tensor
+
 from pb4u.physics.contact.contact_set import PlaneSearch, nearest_planes
 from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.step_potential import StepPotential
@@ -101,10 +104,29 @@ class IncrementalPotential:
             step: the time step.
         """
         contacts = step.contacts if self.search is nearest_planes else step.contacts_by(self.search)
-        feels_bodies = self.self_contact is not None and self.self_contact.feels_bodies
-        if feels_bodies and contacts.now is not None and step.sags is not None:
-            contacts = replace(contacts, now=contacts.now.raised(step.sags), raised=step.sags)
+        heights = self._heights(step)
+        if heights is not None and contacts.now is not None:
+            contacts = replace(contacts, now=contacts.now.raised(heights), raised=heights)
         terms = tuple(term for term in self.terms if term.acts_on(step))
         if step.is_on_a_processor:
             terms = tuple(term.compiled(step, contacts) for term in terms)
         return StepPotential(replace(self, terms=terms), step, contacts)
+
+    def load(self, step: TimeStep, x: Tensor) -> Tensor | None:
+        """Forces (vertices,) [N] with which bodies press the vertices at the end of a step; None without bodies.
+
+        Args:
+            step: the time step.
+            x: (vertices, 3) [m] at its end.
+        """
+        collision = self.term(Collision.name)
+        if step.bodies is None or not isinstance(collision, Collision):
+            return None
+        planes, heights = self.search(step.bodies.following, step.garments, x), self._heights(step)
+        if heights is not None:
+            planes = planes.raised(heights.to(x))
+        return collision.pressing(step, torch.where(planes.touchable, planes.distance, torch.inf))
+
+    def _heights(self, step: TimeStep) -> Tensor | None:
+        """Heights (vertices,) [m] that the planes of bodies are raised by for the cloth between vertices, or None."""
+        return step.sags if self.self_contact is not None and self.self_contact.feels_bodies else None

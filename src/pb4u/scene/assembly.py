@@ -32,6 +32,9 @@ _SUNKEN = 0.05
 _STIFF = 200.0
 """Modulus [N/m] of both threads from which on cloth is told of: all that is woven."""
 
+_OF_A_BAND = 0.1
+"""Share of a garment's cloth up to which that of a band is too narrow for folds of its own."""
+
 _EDGE_OF_A_FOLD = 1.5
 """Edge length over the bending length of cloth from which on a good part of its folds is lost.
 
@@ -195,7 +198,12 @@ def _lost_folds(garments: Sequence[Garment]) -> tuple[str, ...]:
     """What is to be told of woven garments whose folds are finer than their mesh."""
     notes = []
     for garment in garments:
-        made_of = garment.materials or (garment.material,)
+        areas = garment.face_areas @ garment.layers
+        made_of = [
+            cloth
+            for cloth, area in zip(garment.materials or (garment.material,), areas, strict=True)
+            if area > _OF_A_BAND * areas.sum()
+        ]
         folds = [each.bending_length for each in made_of if min(each.membrane[:2]) >= _STIFF and each.bending > 0]
         edge, longest = garment.mean_edge_length, _EDGE_OF_A_FOLD * min(folds, default=math.inf)
         if edge <= longest:

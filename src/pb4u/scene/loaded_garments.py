@@ -12,6 +12,7 @@
 6. **Check**: what the body does not wear is refused or told of, and limbs that go through the cloth go inside it.
 7. **Grain**: of what has none of its own, that which is given, or that of UVs in metres, those of its author's mesh.
 8. **Parts**: fabrics, further layers, interfacing and elastic on pieces that its source names and bands along borders.
+   Built-in garments that are cut flat have some of their own, and elastic in the place of pins at a waist.
 
 Without a body a garment is used as its file has it: what is made on a body is refused, and the rest is not compared
 with one.
@@ -30,6 +31,7 @@ import numpy as np
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, InputNote, warn
+from pb4u.garment.cuts import CUTS
 from pb4u.garment.diagnosis import require_clothes, require_fine, require_metres, require_near, require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.fit import RestBody
@@ -40,7 +42,7 @@ from pb4u.garment.layering import worn_order
 from pb4u.garment.library import DICTIONARIES, LEVELS, SEWN, RestShape, build_garment, garment_names
 from pb4u.garment.limbs_inside import with_limbs_inside
 from pb4u.garment.material import Material, load_material
-from pb4u.garment.parts import with_parts
+from pb4u.garment.parts import BORDER, WAIST, with_parts
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
 from pb4u.garment.source_map import remeshed
@@ -103,6 +105,8 @@ def load_garment(worn: WornGarment, body: Body, rest_shape: RestShape = Run.rest
         InputWarning: its file is odd, it starts inside the body, or nothing holds it up.
     """
     kind = kind_of(worn.garment)
+    if kind is KINDS["built-in"] and rest_shape == "flat":
+        worn = _banded(worn)
     garment = read(worn, body, rest_shape)
     garment = place(garment, body, kind)
     garment = remesh(garment, body, kind, worn.triangles)
@@ -118,6 +122,32 @@ def load_garment(worn: WornGarment, body: Body, rest_shape: RestShape = Run.rest
             InputNote,
         )
     return garment if worn.texture is None else textured(garment, read_image(Path(worn.texture)))
+
+
+def _banded(worn: WornGarment) -> WornGarment:
+    """A built-in garment with the bands that it is cut with, where none are asked for in their place.
+
+    Elastic takes the place of a pinned waistband, unless pins are asked for. What is made of a material that is asked
+    for has no cloth of other parts.
+    """
+    cut = CUTS.get(str(worn.garment))
+    asked = {*worn.materials, *worn.layers, *worn.interfacing, *worn.elastic}
+    if cut is None or BORDER in asked:
+        return worn
+    bands = cut.bands
+    holds_by_pins = worn.pins is not None or worn.pin_stiffness is not None or worn.pins_until is not None
+    elastic = {name: ratio for name, ratio in bands.elastic.items() if name != WAIST or not holds_by_pins}
+    fabrics = {} if REST in worn.materials else bands.fabrics
+    if not fabrics:
+        # Of cloth that does not give, cuffs are not gathered.
+        elastic = {name: ratio for name, ratio in elastic.items() if name == WAIST}
+    used = {*bands.layers, *fabrics, *elastic, *asked}
+    widths = {name: width for name, width in bands.widths.items() if name in used}
+    pins = "none" if WAIST in elastic and not holds_by_pins else worn.pins
+    return replace(
+        worn, material={**fabrics, **worn.materials}, layers={**bands.layers, **worn.layers}, pins=pins,
+        elastic={**elastic, **worn.elastic}, band_width={**widths, **worn.band_width},
+    )  # fmt: skip
 
 
 class Kind(NamedTuple):

@@ -16,14 +16,18 @@ class State:
         velocities: (vertices, 3) [m/s].
         frame: index of the frame in its scene, lead-in included.
         history: what the rule of integration keeps of the step that led here; without, it begins anew.
+        load: (vertices,) [N] with which bodies pressed each vertex where the step ended, before what they left inside
+            was pushed out; None where it is what the place of the vertex says.
     """
 
     positions: Tensor
     velocities: Tensor
     frame: int
     history: tuple[Tensor, ...] = ()
+    load: Tensor | None = None
 
     def double(self) -> State:
         """This state in double precision."""
         history = tuple(values.double() for values in self.history)
-        return State(self.positions.double(), self.velocities.double(), self.frame, history)
+        load = None if self.load is None else self.load.double()
+        return State(self.positions.double(), self.velocities.double(), self.frame, history, load)

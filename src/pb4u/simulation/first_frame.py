@@ -12,12 +12,18 @@ from torch import Tensor
 
 from pb4u.collision.jit import as_float64
 from pb4u.garment.tangles import untangled_start
+from pb4u.physics.contact.contact_set import MOTION_REACH, nearest_planes
 from pb4u.physics.solver.newton_solver import Solver
+from pb4u.physics.terms.collision import Collision
+from pb4u.physics.terms.stretch import Stretch
 from pb4u.registry import Registry
 from pb4u.scene.state import State
 from pb4u.simulation.refinement import SolverRefinement, collision_free_move
 from pb4u.simulation.step import StepMethod, Taken, take
 from pb4u.simulation.timeline import Timeline
+
+_CLOSES = 0.02
+"""Distance [m] from the body up to which elastic lies on it from the start."""
 
 
 class FirstFrame(ABC):
@@ -98,6 +104,25 @@ class OneLongStep(FirstFrame):
         yield Taken(replace(begun, positions=positions), last_move)
 
 
+def _closed(timeline: Timeline, method: StepMethod, state: State) -> State:
+    """`state` with elastic laid on the bodies, which it presses: else it would slide while it closes on them."""
+    step, garments = timeline.settling_from(state), timeline.garments
+    if step.bodies is None:
+        return state
+    planes = nearest_planes(step.bodies.following, garments, state.positions, within=MOTION_REACH)
+    gathered = np.zeros(garments.vertex_count, dtype=bool)
+    for each, first in zip(garments.garments, garments.vertex_offsets, strict=False):
+        if each.trims is not None:
+            gathered[each.faces[each.trims.elastic < 1.0] + int(first)] = True
+    near = torch.from_numpy(gathered) & planes.touchable & ~garments.pinned & (planes.distance < _CLOSES)
+    way = torch.where(near, Collision().clearance - planes.distance, 0.0)
+    laid = replace(state, positions=state.positions + way[:, None] * planes.normals)
+    x = collision_free_move(method.self_contact, step, state, laid).positions
+    _, pull = method.potential.term(Stretch.name).energies_and_gradient(step, step.contacts, x)
+    load = torch.where(near, (pull * planes.normals).sum(1), 0.0).clamp_min(0.0)
+    return replace(state, positions=x, load=load)
+
+
 @dataclass(frozen=True)
 class Settled(FirstFrame):
     """Settling by the solver: long steps from rest, until one moves no garment by more than `still`.
@@ -121,6 +146,8 @@ class Settled(FirstFrame):
         settling = StepMethod(refinement=refinement, contact=method.contact, potential=method.potential)
         begun = state = AsPlaced().start(timeline, method).state
         owner, falls = timeline.garments.vertex_garment, _falls(timeline)
+        if any(each.has_elastic for each in timeline.garments.garments):
+            state = _closed(timeline, method, state)
         for _ in range(self.most_steps):
             settled = take(timeline.settling_from(state), settling).state
             positions = torch.where(falls[:, None], begun.positions, settled.positions)
@@ -128,7 +155,7 @@ class Settled(FirstFrame):
             moved = max(
                 float(moves[owner == number].mean().sqrt()) for number in range(timeline.garments.garment_count)
             )
-            state = replace(begun, positions=positions)
+            state = replace(begun, positions=positions, load=settled.load)
             if moved <= self.still:
                 break
         yield Taken(state)

@@ -6,7 +6,7 @@ Simulation takes all of it; training learns from its predictions and refines not
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
 import torch
@@ -109,10 +109,12 @@ def take(step: TimeStep, method: StepMethod, last_move: Tensor | None = None) ->
         *_, prediction = predictions(step, method, last_move)
         predicted = require_finite(prediction.state)
         if refinement is None:
-            state = collision_free_move(cloth, step, step.state, predicted)
+            state, load = collision_free_move(cloth, step, step.state, predicted), None
         else:
             # A few iterations of the solver, or all of them, lower the energies that the network was trained on.
             state = refinement.refine(step, predicted)
+            # Friction of the next step is of the force that holds cloth here, wherever it is pushed to.
+            load = refinement.potential.load(step, state.positions)
         if contact is not None:
             # Vertices still inside the body are pushed out, without gaining speed, and no further than to other cloth.
             state = collision_free_move(cloth, step, state, contact.respond(step, state))
@@ -127,7 +129,7 @@ def take(step: TimeStep, method: StepMethod, last_move: Tensor | None = None) ->
         )
         # Where one is through cloth already, no energy leads it back.
         after = kept if contact is None else contact.cleared(step, kept, cloth)
-        return Taken(after, prediction.last_move)
+        return Taken(replace(after, load=load), prediction.last_move)
 
 
 @dataclass(frozen=True, eq=False)

@@ -255,7 +255,7 @@ class Timeline:
         still, pins = self.pose(state.frame), self.skinned(state.frame)
         return TimeStep(
             self.garments,
-            State(state.positions, torch.zeros_like(state.velocities), state.frame),
+            State(state.positions, torch.zeros_like(state.velocities), state.frame, load=state.load),
             ColliderFrame(still, still, still),
             SETTLING_DT,
             self.environment.in_still_air,

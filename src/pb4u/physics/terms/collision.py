@@ -126,6 +126,18 @@ class Collision(EnergyTerm):
         bearing = np.sqrt(loads / np.maximum(3.0 * weight, 1e-300))
         return [_tangent(x, record.numbers, pattern.free, bearing, slots) for record in records]
 
+    def pressing(self, step: TimeStep, distance: Tensor) -> Tensor:
+        """Forces (vertices,) [N] with which bodies press vertices at signed distances from them.
+
+        Cloth deep inside is a fault to be mended, not a load: friction would freeze it there.
+
+        Args:
+            step: the time step.
+            distance: (vertices,) [m], inf where nothing is touched.
+        """
+        depth = (self.clearance - distance).clamp(0.0, 2.0 * self.clearance)
+        return 3.0 * self.weight / REFERENCE_AREA * step.garments.vertex_areas * depth**2
+
     def _vertex_weight(self, step: TimeStep) -> Tensor:
         return (self.weight / REFERENCE_AREA) * step.garments.vertex_areas
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from pb4u.collision.jit import as_float64, compiled, compiled_into_callers
 from pb4u.environment import STANDARD_GRAVITY, UP
 from pb4u.physics.contact.contact_set import ContactSet
-from pb4u.physics.terms.collision import REFERENCE_AREA, Collision
+from pb4u.physics.terms.collision import Collision
 from pb4u.physics.terms.element_loops import GRADIENT, SECOND, VALUE, Record, each_vertex, element_loops, vertex_record
 from pb4u.physics.terms.energy_term import EnergyTerm, Tangent, constant, dot, sum_by_garment
 from pb4u.physics.terms.stiffness_matrix import StiffnessPattern
@@ -157,9 +157,7 @@ class Friction(EnergyTerm):
             normal = torch.where(on_ground[:, None], constant(UP, before.dtype, before.device), normal)
         pressed = torch.zeros_like(distance)
         if self.load is not None:
-            # Cloth deep inside is a fault to be mended, not a load: its force would freeze it there.
-            depth = (self.load.clearance - distance).clamp(0.0, 2.0 * self.load.clearance)
-            pressed = 3.0 * self.load.weight / REFERENCE_AREA * step.garments.vertex_areas * depth**2
+            pressed = self.load.pressing(step, distance)
         force = self._normal_force(step, pressed)
         return torch.where(touching, step.garments.friction * force, 0.0), anchor, normal
 
@@ -173,14 +171,16 @@ class CoulombFriction(Friction):
 
     N is the force with which the body, or the ground, pressed the vertex at the step's start: at rest the part of the
     weight along the normal, in free fall nothing. What has just come to touch slips for a step. What holds a share r of
-    its limit creeps by `smoothing` r / sqrt(1 - r^2) [m/s].
+    its limit creeps by `smoothing` r / sqrt(1 - r^2) [m/s]. Cloth that was pushed out of the body after a step keeps
+    the force that held it there before: else a tight waistband would hold by no more than presses cloth on the skin.
     """
 
     law = "coulomb"
     weights = (1.0, 1.0, 1.0)
 
     def _normal_force(self, step: TimeStep, pressed: Tensor) -> Tensor:
-        return pressed
+        load = step.state.load
+        return pressed if load is None else torch.maximum(pressed, load)
 
 
 FRICTION_LAWS = {law.law: law for law in (Friction, CoulombFriction)}
