@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from pb4u.body.body_model import ShapedBody
@@ -19,6 +20,7 @@ from pb4u.garment.source_map import nearest_places
 from pb4u.garment.support import find_support
 from pb4u.garment.tangles import untangled_start
 from pb4u.pattern.mesh import PatternMesh
+from pb4u.pattern.pattern import FALL
 from pb4u.pattern.placement import around, off_body, sleeve_points
 from pb4u.pattern.thin_body import SewingBody
 from pb4u.physics.contact.contact_set import nearest_planes
@@ -41,8 +43,8 @@ _SHALLOW = 0.01
 _LIFTS = (0.0, 0.02, 0.04, 0.06)
 """Heights [m] by which the pattern may be raised for that: shoulder seams are often placed a little within the body."""
 
-_GROWTH_STEPS = 5
-"""Steps in which the body fills out: 1 or 2 cm at the waist in each."""
+_GROWTH_STEPS = 10
+"""Steps in which the body fills out and its arms bend: in longer ones wrists come through cuffs between their vertices."""
 
 _NEAR = 0.1
 """Distance [m] from the skin within which cloth begins a step by moving with it, less and less towards it."""
@@ -61,6 +63,9 @@ _ITERATIONS = 15
 
 _STILL = 1e-3
 """Rms displacement [m] of a step at which the garment hangs."""
+
+_SLOPE = np.radians(25.0)
+"""Angle [rad] below the horizontal at which what is turned over begins: it clears shoulders that slope as much."""
 
 _LEFT_INSIDE = 1e-3
 """Depth [m] from which on cloth that hangs is pushed out of the body."""
@@ -99,6 +104,25 @@ def carried(source: PatternMesh, places: np.ndarray, target: PatternMesh) -> np.
         face, shares = nearest_places(flat[1][own], flat[0], faces)
         moved[own] = np.einsum("pc,pcx->px", shares, places[source.vertex[faces[face]]])
     return target.sewn(moved)
+
+
+def turned_over(mesh: PatternMesh, places: np.ndarray) -> np.ndarray:
+    """Places (vertices, 3) [m] where panels labelled `FALL` slope outwards and down from the seam that they hang on.
+
+    Args:
+        mesh: mesh of the pattern.
+        places: (vertices, 3) of its garment [m], where they stand up from there.
+    """
+    falls = np.array([panel.label == FALL for panel in mesh.pattern.panels])[mesh.panel]
+    fold = falls & np.isin(mesh.vertex, mesh.vertex[~falls])
+    turned = places.copy()
+    for panel in np.unique(mesh.panel[fold]):
+        own, along = np.flatnonzero(mesh.panel == panel), np.flatnonzero(fold & (mesh.panel == panel))
+        far = cKDTree(mesh.points[along]).query(mesh.points[own])[0][:, None]
+        out = (places[mesh.vertex[own]] - places[mesh.vertex[fold]].mean(axis=0)) * (1.0 - np.array(UP))
+        out /= np.linalg.norm(out, axis=1, keepdims=True)
+        turned[mesh.vertex[own]] = places[mesh.vertex[own]] + far * (np.cos(_SLOPE) * out - (1.0 + np.sin(_SLOPE)) * np.array(UP))
+    return turned
 
 
 class Sewing:
@@ -172,6 +196,7 @@ class Sewing:
         for part in range(_GROWTH_STEPS):
             poses = self.pose(share, part / _GROWTH_STEPS), self.pose(share, (part + 1) / _GROWTH_STEPS)
             x = self.step(packed, x, solver, self.smooth, poses)
+        x = torch.from_numpy(turned_over(self.mesh, x.numpy()))
         return self.step(packed, x, solver, self.smooth, (poses[1], poses[1])).numpy()
 
     def clear_start(self, places: np.ndarray) -> tuple[np.ndarray, float]:
