@@ -63,10 +63,10 @@ def shirt(m: Measures) -> Pattern:
     Args:
         m: as `tailors_measures` takes them.
     """
-    draft, quarter = Draft("shirt"), 0.25 * (m["bust"] + 0.12)
+    draft, quarter = Draft("shirt"), 0.25 * (m["bust"] + 0.14)
     placket, hem, tail = 0.016, m["crotch_height"] - 0.02, 0.06
-    neck, shoulder = (0.5 * m["neck_width"] + 0.005, m["neck_height"]), _shoulder(m, 0.012)
-    under, end = (quarter, m["armpit_height"] - 0.025), (max(quarter, 0.25 * (m["hips"] + 0.08)), hem + tail)
+    neck, shoulder = (0.5 * m["neck_width"] + 0.005, m["neck_height"]), _shoulder(m, 0.015)
+    under, end = (quarter, m["armpit_height"] - 0.03), (max(quarter, 0.25 * (m["hips"] + 0.08)), hem + tail)
     throat, nape = (placket, neck[1] - neck[0] - 0.02), (0.0, neck[1] - 0.02)
     armhole = ((shoulder[0] - 0.01, 0.5 * (shoulder[1] + under[1])), (shoulder[0], under[1]))
     body = (("shoulder", neck), ("armhole", shoulder, *armhole), ("side", under))
@@ -91,7 +91,7 @@ def shirt(m: Measures) -> Pattern:
 
 def _sleeve(draft: Draft, m: Measures, shoulder: Point) -> None:
     """Sleeves in two halves, over and under the arm's side, gathered into cuffs."""
-    cuff, half, wrist = 0.06, 0.5 * (m["upper_arm"] + 0.09), 0.5 * (m["wrist"] + 0.035)
+    cuff, half, wrist = 0.06, 0.5 * (m["upper_arm"] + 0.12), 0.5 * (m["wrist"] + 0.06)
     length, full = m["arm_length"] + 0.05 - cuff, 1.3 * wrist
     # The cap is as long as the armhole, but for the hollow of its curve.
     cap = float(np.sqrt(max((0.95 * draft.length("front.armhole")) ** 2 - half**2, (0.3 * half) ** 2)))
@@ -145,34 +145,34 @@ def jeans(m: Measures) -> Pattern:
     Args:
         m: as `tailors_measures` takes them.
     """
-    draft, band, yoke, ease = Draft("jeans"), 0.04, 0.04, 0.04
-    waist, hips = 0.25 * (m["low_waist"] + 0.01), 0.25 * (m["hips"] + ease)
+    draft, band, yoke, ease = Draft("jeans"), 0.04, 0.04, 0.05
+    waists, hips = 0.25 * (m["low_waist"] + 0.03), 0.25 * (m["hips"] + ease)
     hem, crotch, top = 0.4 * m["ankle_height"], m["crotch_height"] - 0.015, m["low_waist_height"] - 0.5 * band
-    front_fork = m["hips"] / 22.0
-    back_fork = max(m["hips"] / 11.0, m["thigh"] + 0.05 - 2.0 * hips - front_fork)
-    knee, ankle = m["knee"] + 0.05, m["calf"] + 0.035
-    for name, fork, less, slant, raised in (("front", front_fork, 0.01, 0.01, 0.0), ("back", back_fork, -0.01, 0.03, 0.025)):
+    front_fork = m["hips"] / 20.0
+    back_fork = max(m["hips"] / 10.0, m["thigh"] + 0.05 - 2.0 * hips - front_fork)
+    knee, ankle = m["knee"] + 0.08, m["calf"] + 0.06
+    for name, fork, less, slant, raised in (
+        ("front", front_fork, 0.01, 0.01, 0.0), ("back", back_fork, -0.01, 0.045, 0.025),
+    ):  # fmt: skip
+        waist = waists + less
         half, narrow, end = 0.5 * (hips - less + fork), 0.5 * (0.5 * knee - less), 0.5 * (0.5 * ankle - less)
-        seat = fork - half
-        side = (seat + slant + float(np.sqrt(waist**2 - raised**2)), top)
-        low = (side[0] + 0.25 * yoke, top - yoke)
-        middle = (seat + slant, top + raised)
-        outline = [
-            ("side", (narrow, m["knee_height"]), (half, crotch - 0.1), (half + 0.005, m["hip_height"])),
-        ]
+        seat, hip, thigh = fork - half, (half, m["hip_height"]), (half, crotch - 0.05)
+        side, middle = (seat + slant + float(np.sqrt(waist**2 - raised**2)), top), (seat + slant, top + raised)
+        # The side is full up to half the way from hips to waist.
+        full = (half, 0.5 * (hip[1] + top))
+        share = 1.0 - yoke / (top - hip[1])
+        below, low, above = _split(hip, full, side, share)
+        cut = (middle[0] - 0.2 * slant, middle[1] - yoke - 0.5 * raised)
+        curve = ((seat, crotch + 0.02), (seat - 0.2 * fork, crotch))
+        upper = [("yoke", low, above), ("waist", side), ("crotch", middle, *curve)]
         at = {"depth": 0.2 if name == "front" else -0.2, "place": (half, 0.0), "label": "leg"}
-        fork_curve = ((seat - 0.2 * fork, crotch), (seat, crotch + 0.02))
-        if name == "front":
-            upper = [("yoke", low), ("waist", side), ("crotch", middle, *fork_curve[::-1])]
-        else:
-            share = yoke / (middle[1] - crotch)
-            cut = (middle[0] - share * slant, middle[1] - yoke - raised * 0.5)
-            upper = [("yoke", low), ("crotch", cut, *fork_curve[::-1])]
-            draft.cut("yoke", ("side", low), ("waist", side), ("centre", middle), ("leg", cut), **at)
+        if name == "back":
+            upper = [("yoke", low), ("crotch", cut, *curve)]
+            draft.cut("yoke", ("side", low, above), ("waist", side), ("centre", middle), ("leg", cut), **at)
         draft.cut(
-            name, ("hem", (-end, hem)), ("shin", (end, hem)), *outline, *upper,
-            ("inner", (-half, crotch), (-narrow, 0.5 * (crotch + m["knee_height"]))), ("calf", (-narrow, m["knee_height"])),
-            **at,
+            name, ("hem", (-end, hem)), ("shin", (end, hem)), ("side", (narrow, m["knee_height"]), thigh),
+            ("hip", hip, below), *upper, ("inner", (-half, crotch), (-narrow, 0.5 * (crotch + m["knee_height"]))),
+            ("calf", (-narrow, m["knee_height"])), **at,
         )  # fmt: skip
         draft.cut(
             f"band_{name}", ("top", (0.0, top + band)), ("side", (waist, top + band)), ("waist", (waist, top)),
@@ -180,7 +180,7 @@ def jeans(m: Measures) -> Pattern:
         )  # fmt: skip
         draft.sew((f"{name}.crotch", f"{name}.crotch"))
     draft.sew(
-        *((f"front.{edge}", f"back.{edge}") for edge in ("shin", "side", "inner", "calf")), ("front.yoke", "yoke.side"),
+        *((f"front.{edge}", f"back.{edge}") for edge in ("shin", "side", "hip", "inner", "calf")), ("front.yoke", "yoke.side"),
         ("yoke.leg", "back.yoke"), ("yoke.centre", "yoke.centre"), ("front.waist", "band_front.waist"),
         ("yoke.waist", "band_back.waist"), ("band_front.side", "band_back.side"),
     )  # fmt: skip
@@ -243,6 +243,13 @@ def _circle(draft: Draft, waist: tuple[str, ...], radius: float, length: float, 
         if k:
             draft.sew((f"gore_{k - 1}.back", f"gore_{k}.front"))
     draft.sew(("gore_0.front", "gore_0.front"), (f"gore_{len(waist) - 1}.back", f"gore_{len(waist) - 1}.back"))
+
+
+def _split(start: Point, control: Point, end: Point, share: float) -> tuple[Point, Point, Point]:
+    """A quadratic curve cut in two at a share of its parameter: the one's control, the place of the cut, the other's."""
+    one, middle, other = (np.array(point) for point in (start, control, end))
+    one, other = one + share * (middle - one), middle + share * (other - middle)
+    return tuple(one), tuple(one + share * (other - one)), tuple(other)
 
 
 def _shoulder(m: Measures, beyond: float) -> Point:

@@ -15,7 +15,7 @@ from pb4u.collision.crossings import self_crossings
 from pb4u.environment import UP, Environment
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
-from pb4u.garment.material import Material
+from pb4u.garment.material import MATERIALS, Material
 from pb4u.garment.source_map import nearest_places
 from pb4u.garment.support import find_support
 from pb4u.garment.tangles import untangled_start
@@ -181,7 +181,8 @@ class Sewing:
     def sewn(self) -> np.ndarray:
         """Places (vertices, 3) [m] of the garment around the body in its size, without weight."""
         start, share = self.clear_start(off_body(self.mesh, self.placed, self.thin_body.thin(1.0)))
-        garment = self.garment(start)
+        # Stretched threads of stiff cloth would pull it through an arm.
+        garment = sewn_garment(self.mesh, start, MATERIALS["default"])
         packed, x = pack([garment]), torch.from_numpy(start)
         solver = Solver(tolerance=1.0, max_iterations=_ITERATIONS)
         # Sleeves may be placed through the sides that they are sewn to; they part as the seams close.
@@ -197,7 +198,8 @@ class Sewing:
             poses = self.pose(share, part / _GROWTH_STEPS), self.pose(share, (part + 1) / _GROWTH_STEPS)
             x = self.step(packed, x, solver, self.smooth, poses)
         x = torch.from_numpy(turned_over(self.mesh, x.numpy()))
-        return self.step(packed, x, solver, self.smooth, (poses[1], poses[1])).numpy()
+        own = pack([self.garment(start)])
+        return self.step(own, x, solver, self.smooth, (poses[1], poses[1])).numpy()
 
     def clear_start(self, places: np.ndarray) -> tuple[np.ndarray, float]:
         """The garment (vertices, 3) [m] raised clear, and the share of its girth with which a body fits in.
