@@ -66,7 +66,7 @@ def shirt(m: Measures) -> Pattern:
     draft, quarter = Draft("shirt"), 0.25 * (m["bust"] + 0.14)
     placket, hem, tail = 0.016, m["crotch_height"] - 0.02, 0.06
     neck, shoulder = (0.5 * m["neck_width"] + 0.005, m["neck_height"]), _shoulder(m, 0.015)
-    under, end = (quarter, m["armpit_height"] - 0.03), (max(quarter, 0.25 * (m["hips"] + 0.08)), hem + tail)
+    under, end = (quarter, m["armpit_height"] - 0.045), (max(quarter, 0.25 * (m["hips"] + 0.08)), hem + tail)
     throat, nape = (placket, neck[1] - neck[0] - 0.02), (0.0, neck[1] - 0.02)
     armhole = ((shoulder[0] - 0.01, 0.5 * (shoulder[1] + under[1])), (shoulder[0], under[1]))
     body = (("shoulder", neck), ("armhole", shoulder, *armhole), ("side", under))
@@ -91,7 +91,7 @@ def shirt(m: Measures) -> Pattern:
 
 def _sleeve(draft: Draft, m: Measures, shoulder: Point) -> None:
     """Sleeves in two halves, over and under the arm's side, gathered into cuffs."""
-    cuff, half, wrist = 0.06, 0.5 * (m["upper_arm"] + 0.12), 0.5 * (m["wrist"] + 0.06)
+    cuff, half, wrist = 0.06, 0.5 * (m["upper_arm"] + 0.07), 0.5 * (m["wrist"] + 0.06)
     length, full = m["arm_length"] + 0.05 - cuff, 1.3 * wrist
     # The cap is as long as the armhole, but for the hollow of its curve.
     cap = float(np.sqrt(max((0.95 * draft.length("front.armhole")) ** 2 - half**2, (0.3 * half) ** 2)))

@@ -64,7 +64,7 @@ _ITERATIONS = 15
 _STILL = 1e-3
 """Rms displacement [m] of a step at which the garment hangs."""
 
-_SLOPE = np.radians(25.0)
+_SLOPE = np.radians(40.0)
 """Angle [rad] below the horizontal at which what is turned over begins: it clears shoulders that slope as much."""
 
 _LEFT_INSIDE = 1e-3
