@@ -12,8 +12,8 @@ FILES = {
     "scene.toml": "[scene]\nmotoin = 3\n",
 }
 SENTENCES = {
-    "simulate --garment tshrt": "There is no garment 'tshrt'; did you mean tshirt or skirt? There are tshirt, tanktop, "
-    "longsleeve, dress, fitted_dress, cardigan, trousers, skirt.",
+    "simulate --garment tshrt": "There is no garment 'tshrt'; did you mean tshirt or shirt or skirt? There are "
+    "tshirt, tanktop, longsleeve, dress, fitted_dress, cardigan, trousers, skirt, shirt, jeans, circle_dress.",
     "simulate --garment absent.obj": "There is no garment file absent.obj.",
     "simulate --garment cut.obj": 'cut.obj line 4: face "f 1 2 9" names a vertex out of range, the file has 3; '
     "export it again.",

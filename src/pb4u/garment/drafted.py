@@ -22,7 +22,7 @@ class Drafted:
 
 
 DRAFTED: dict[str, Drafted] = {
-    "shirt": Drafted("cotton-poplin", {"stand": 0.0, "fall": 0.0, "placket": 5e-5, "cuff": 1e-4}),
+    "shirt": Drafted("cotton-poplin", {"stand": 1e-4, "fall": 5e-5, "placket": 5e-5, "cuff": 1e-4}),
     "jeans": Drafted("denim-11oz", {"band": 2e-4}, pins="waist"),
     "circle_dress": Drafted("viscose"),
 }

@@ -76,7 +76,9 @@ def build_garment(
     if name in DRAFTED:
         if rest_shape != "flat":
             raise InputError(f"{name} is sewn of flat panels and cannot be moulded; its rest shape is flat.")
-        return body.kept(f"{name} of {triangles} triangles", lambda body: resolve_name(DRAFTED_BY)(name, body, triangles))
+        return body.kept(
+            f"{name} of {triangles} triangles", lambda body: resolve_name(DRAFTED_BY)(name, body, triangles)
+        )
     return body.kept(
         f"{rest_shape} {name} of {triangles} triangles",
         lambda body: _meshed(name, CUTS[name], _surface(name, body), body, triangles, rest_shape),

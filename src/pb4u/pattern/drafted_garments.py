@@ -33,7 +33,9 @@ def drafted_garment(name: str, body: ShapedBody, triangles: int) -> Garment:
     garment = dressed_once(drafted(name, tailors_measures(body)), body, FABRICS[kind.fabric], triangles)
     if kind.parts:
         assert garment.uv_faces is not None
-        of_panel = [next((k for k, part in enumerate(kind.parts) if panel.startswith(part)), -1) for panel in garment.panels]
+        of_panel = [
+            next((k for k, part in enumerate(kind.parts) if panel.startswith(part)), -1) for panel in garment.panels
+        ]
         of_face = np.array(of_panel)[uv_islands(garment.uv_faces)]
         garment = replace(garment, pieces=tuple(kind.parts), piece_of_face=of_face)
         layers = dict.fromkeys(kind.parts, 2.0)

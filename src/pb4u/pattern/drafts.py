@@ -43,7 +43,9 @@ def drafted(name: str, measures: Measures) -> Pattern:
     for measure in MEASURES:
         value = measures.get(measure)
         if not isinstance(value, int | float) or isinstance(value, bool) or not 0.0 < value < np.inf:
-            raise InputError(f"{name} is drafted from the measure {measure}, a number above 0 in metres, not {value!r}.")
+            raise InputError(
+                f"{name} is drafted from the measure {measure}, a number above 0 in metres, not {value!r}."
+            )
     for low, high in zip(_LEVELS[:-1], _LEVELS[1:], strict=True):
         if measures[low] >= measures[high]:
             raise InputError(
@@ -56,7 +58,6 @@ def drafted(name: str, measures: Measures) -> Pattern:
         raise InputError(f"{name} cannot be drafted from these measures, which no body has together: {error}") from None
 
 
-
 def shirt(m: Measures) -> Pattern:
     """A shirt: front with a placket, back, sleeves with cuffs, a collar of stand and fall; buttoned, so it is closed.
 
@@ -66,7 +67,7 @@ def shirt(m: Measures) -> Pattern:
     draft, quarter = Draft("shirt"), 0.25 * (m["bust"] + 0.14)
     placket, hem, tail = 0.016, m["crotch_height"] - 0.02, 0.06
     neck, shoulder = (0.5 * m["neck_width"] + 0.005, m["neck_height"]), _shoulder(m, 0.015)
-    under, end = (quarter, m["armpit_height"] - 0.045), (max(quarter, 0.25 * (m["hips"] + 0.08)), hem + tail)
+    under, end = (quarter, m["armpit_height"] - 0.04), (max(quarter, 0.25 * (m["hips"] + 0.08)), hem + tail)
     throat, nape = (placket, neck[1] - neck[0] - 0.02), (0.0, neck[1] - 0.02)
     armhole = ((shoulder[0] - 0.01, 0.5 * (shoulder[1] + under[1])), (shoulder[0], under[1]))
     body = (("shoulder", neck), ("armhole", shoulder, *armhole), ("side", under))
@@ -92,7 +93,7 @@ def shirt(m: Measures) -> Pattern:
 def _sleeve(draft: Draft, m: Measures, shoulder: Point) -> None:
     """Sleeves in two halves, over and under the arm's side, gathered into cuffs."""
     cuff, half, wrist = 0.06, 0.5 * (m["upper_arm"] + 0.07), 0.5 * (m["wrist"] + 0.06)
-    length, full = m["arm_length"] + 0.05 - cuff, 1.3 * wrist
+    length, full = m["arm_length"] + 0.03 - cuff, 1.3 * wrist
     # The cap is as long as the armhole, but for the hollow of its curve.
     cap = float(np.sqrt(max((0.95 * draft.length("front.armhole")) ** 2 - half**2, (0.3 * half) ** 2)))
     at, curve = {"place": shoulder, "turn": 0.5 * np.pi - m["arm_angle"], "label": "arm"}, (-0.4 * half, 0.0)
@@ -106,12 +107,14 @@ def _sleeve(draft: Draft, m: Measures, shoulder: Point) -> None:
             ("sleeve", (-wrist, -length)), depth=depth, **at,
         )  # fmt: skip
         draft.sew((f"sleeve_{name}.cap", f"{name}.armhole"), (f"sleeve_{name}.end", f"cuff_{name}.sleeve"))
-    draft.sew(*((f"{part}_front.{edge}", f"{part}_back.{edge}") for part in ("sleeve", "cuff") for edge in ("top", "under")))
+    draft.sew(
+        *((f"{part}_front.{edge}", f"{part}_back.{edge}") for part in ("sleeve", "cuff") for edge in ("top", "under"))
+    )
 
 
 def _collar(draft: Draft, neck: Point, throat: Point, nape: Point) -> None:
     """A stand round the neck hole, and a fall that lies over it and ends in points."""
-    stand, fall, point, placket = 0.03, 0.045, 0.02, throat[0]
+    stand, fall, point, placket = 0.03, 0.045, 0.025, throat[0]
     front, back = placket + draft.length("front.neck"), draft.length("back.neck")
     rise = float(np.arctan2(neck[1] - throat[1], neck[0]))
     at = {"place": (0.0, throat[1]), "turn": min(rise, 0.6)}
@@ -124,11 +127,11 @@ def _collar(draft: Draft, neck: Point, throat: Point, nape: Point) -> None:
         (FOLD, (0.0, stand)), depth=-0.1, place=nape,
     )  # fmt: skip
     draft.cut(
-        "fall_front", ("stand", (0.004, stand)), ("side", (front - 0.006, stand)), ("end", (front + 0.004, stand + fall)),
-        ("front", (-0.004, stand + fall + point)), depth=0.1, label=FALL, **at,
+        "fall_front", ("stand", (0.004, stand)), ("side", (front - 0.006, stand)), ("end", (front + 0.012, stand + fall)),
+        ("front", (-0.012, stand + fall + point)), depth=0.1, label=FALL, **at,
     )  # fmt: skip
     draft.cut(
-        "fall_back", ("stand", (0.0, stand)), ("side", (back - 0.004, stand)), ("end", (back + 0.006, stand + fall)),
+        "fall_back", ("stand", (0.0, stand)), ("side", (back - 0.004, stand)), ("end", (back + 0.014, stand + fall)),
         (FOLD, (0.0, stand + fall)), depth=-0.1, label=FALL, place=nape,
     )  # fmt: skip
     draft.sew(
@@ -208,7 +211,9 @@ def circle_dress(m: Measures) -> Pattern:
         side = (dart + 2.0 * part, level)
         low = 0.6 * (under[1] - intake - level)
         apex = min(m["bust_height"] - 0.03, level + low - 0.01)
-        notch = [(side[0] + (quarter - side[0]) * (low + up) / (under[1] - level), level + low + up) for up in (intake, 0.0)]
+        notch = [
+            (side[0] + (quarter - side[0]) * (low + up) / (under[1] - level), level + low + up) for up in (intake, 0.0)
+        ]
         sides: tuple[Edge, ...] = (("side_high", under), ("side_low", notch[1]))
         if intake:
             tip_of_dart = (part + 0.5 * dart + 0.03, level + low + 0.5 * intake + 0.01)
