@@ -14,9 +14,9 @@ from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputError
 from pb4u.garment.body_form import BodyForm
 from pb4u.garment.clearance import rest_distances
+from pb4u.garment.cuts import CUTS
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
-from pb4u.garment.cuts import CUTS
 from pb4u.garment.library import LEVELS, build_garment
 from pb4u.geometry.topology import Topology
 

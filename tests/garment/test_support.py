@@ -7,11 +7,11 @@ from cloth_shapes import saved
 from pb4u.body.library import load_body
 from pb4u.errors import InputWarning
 from pb4u.garment import support
+from pb4u.garment.cuts import CUTS
 from pb4u.garment.diagnosis import diagnose
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import read_source
-from pb4u.garment.cuts import CUTS
 from pb4u.garment.library import build_garment
 from pb4u.garment.material import MATERIALS
 from pb4u.garment.support import LEAST_AREA, find_support, slide

@@ -31,19 +31,6 @@ def measures(body: str = "woman", **shape: float) -> dict[str, float]:
     return tailors_measures(load_body(body, shape))
 
 
-def length(pattern: Pattern, panel: str, low: tuple[float, float], high: tuple[float, float]) -> float:
-    """Length [m] of the edge of a panel between two corners of it."""
-    own = pattern.panels[pattern.index[panel]]
-    ends = {tuple(np.round(corner, 9)) for corner in (low, high)}
-    found = [
-        own.edge_lengths[k]
-        for k in range(own.edge_count)
-        if {tuple(np.round(own.corners[i % own.edge_count], 9)) for i in (k, k + 1)} == ends
-    ]
-    assert len(found) == 1
-    return float(found[0])
-
-
 def level_length(pattern: Pattern, panel: str, at: float) -> float:
     """Length [m] of the straight edges of a panel that lie at a height [m]."""
     own = pattern.panels[pattern.index[panel]]
@@ -92,13 +79,9 @@ def test_a_sleeve_with_its_cuff_is_as_long_as_the_arm_and_its_ease(body: str):
     taken = measures(body)
     pattern = drafted("shirt", taken)
     panels = [pattern.panels[pattern.index[f"{part}_front_left"]] for part in ("sleeve", "cuff")]
-    top = sum(panel.edge_lengths[np.ptp(panel.corners[[0, 1]], axis=0).argmax() == 0 :].max() for panel in panels[:1])
     sleeve, cuff = (float(np.ptp(panel.corners[:, 1])) for panel in panels)
-    assert top == pytest.approx(sleeve)
     assert sleeve + cuff == pytest.approx(taken["arm_length"] + 0.03, rel=0.01)
     assert 2.0 * float(np.ptp(panels[1].corners[:, 0])) == pytest.approx(taken["wrist"] + 0.06, rel=0.01)
-    stand = [pattern.panels[pattern.index[name]] for name in ("stand_front_left", "stand_front_right", "stand_back")]
-    assert sum(panel.edge_lengths.max() for panel in stand[:2]) > 0.5 * np.pi * taken["neck_width"]
 
 
 @pytest.mark.parametrize("body", ["woman", "man"])

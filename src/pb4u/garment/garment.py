@@ -126,8 +126,8 @@ class Garment:
         pieces: names of parts of its file, each once; left out, those of its `appearances`.
         piece_of_face: (faces,) int64 which of the `pieces` each face belongs to, -1 for none; or None.
         springs: on which its pins are held; None where they hold exactly, and always.
-        pressed: (faces,) bool, faces that are pressed over: at the edges between them and others the cloth bends as good
-            as freely; None for none.
+        pressed: (faces,) bool, faces that are pressed over: along edges between them and others cloth bends as good as
+            freely; None for none.
 
     Raises:
         InputError: an array has another shape, or holds what cannot be used. Lists are taken for arrays.

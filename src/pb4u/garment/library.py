@@ -14,8 +14,8 @@ from pb4u.errors import InputError, refuse_unknown
 from pb4u.garment.body_form import form_of
 from pb4u.garment.clearance import clear_of_body
 from pb4u.garment.cuts import CUTS, Cut
-from pb4u.garment.drafted import DRAFTED
 from pb4u.garment.dictionary_entry import DictionaryEntry
+from pb4u.garment.drafted import DRAFTED
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import FABRICS, MATERIALS, Material
 from pb4u.garment.panels import flat_panels

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pb4u.pattern.pattern import Curve, Panel, Pattern, Seam, signed_area
+from pb4u.pattern.pattern import Panel, Pattern, Seam, signed_area
 
 Point: TypeAlias = tuple[float, float]
 Edge: TypeAlias = tuple[Any, ...]
@@ -63,12 +63,14 @@ class Draft:
                 edges, sides = _reversed(edges), sides[::-1]
             axes = Rotation.from_euler("YXZ", [side * azimuth, -tilt, side * turn])
             away = Rotation.from_euler("Y", side * azimuth).apply([0.0, 0.0, depth])
+            position = np.add(away, [side * place[0], place[1], 0.0])
             panel = name if on_fold else f"{name}_{_SIDES[side]}"
             self._panels[panel] = Panel(
-                panel, [edge[1] for edge in edges], away + [side * place[0], place[1], 0.0], axes.as_matrix(),
+                panel, [edge[1] for edge in edges], position, axes.as_matrix(),
                 {k: edge[2:] for k, edge in enumerate(edges) if edge[2:]}, label,
             )  # fmt: skip
-            self._edges |= {(f"{name}.{edge[0]}", own): (panel, k) for k, (edge, own) in enumerate(zip(edges, sides))}
+            for k, (edge, own) in enumerate(zip(edges, sides, strict=True)):
+                self._edges[f"{name}.{edge[0]}", own] = panel, k
 
     def length(self, *edges: str) -> float:
         """Length [m] of edges of one side together.

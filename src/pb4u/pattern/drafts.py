@@ -1,12 +1,13 @@
 """Garments that are drafted from measures of a body, as a tailor does: a shirt, jeans and a circle dress.
 
 Lengths are in metres; drawn is the left half. Rules are those of the basic blocks of textbooks of pattern cutting:
-quarters of a girth with its ease, crotch extensions as shares of the hips, a sleeve whose cap is as long as its armhole.
+quarters of a girth with its ease, forks as shares of the hips, a sleeve whose cap is as long as its armhole.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
@@ -46,7 +47,7 @@ def drafted(name: str, measures: Measures) -> Pattern:
             raise InputError(
                 f"{name} is drafted from the measure {measure}, a number above 0 in metres, not {value!r}."
             )
-    for low, high in zip(_LEVELS[:-1], _LEVELS[1:], strict=True):
+    for low, high in pairwise(_LEVELS):
         if measures[low] >= measures[high]:
             raise InputError(
                 f"{name} cannot be drafted: {low} is {measures[low]:.3f} m, and {high}, which is above it, "
@@ -103,8 +104,8 @@ def _sleeve(draft: Draft, m: Measures, shoulder: Point) -> None:
             ("cap", (-half, -cap), (-0.6 * half, -cap), curve), depth=depth, **at,
         )  # fmt: skip
         draft.cut(
-            f"cuff_{name}", ("top", (0.0, -length)), ("end", (0.0, -length - cuff)), ("under", (-wrist, -length - cuff)),
-            ("sleeve", (-wrist, -length)), depth=depth, **at,
+            f"cuff_{name}", ("top", (0.0, -length)), ("end", (0.0, -length - cuff)),
+            ("under", (-wrist, -length - cuff)), ("sleeve", (-wrist, -length)), depth=depth, **at,
         )  # fmt: skip
         draft.sew((f"sleeve_{name}.cap", f"{name}.armhole"), (f"sleeve_{name}.end", f"cuff_{name}.sleeve"))
     draft.sew(
@@ -127,8 +128,8 @@ def _collar(draft: Draft, neck: Point, throat: Point, nape: Point) -> None:
         (FOLD, (0.0, stand)), depth=-0.1, place=nape,
     )  # fmt: skip
     draft.cut(
-        "fall_front", ("stand", (0.004, stand)), ("side", (front - 0.006, stand)), ("end", (front + 0.012, stand + fall)),
-        ("front", (-0.012, stand + fall + point)), depth=0.1, label=FALL, **at,
+        "fall_front", ("stand", (0.004, stand)), ("side", (front - 0.006, stand)),
+        ("end", (front + 0.012, stand + fall)), ("front", (-0.012, stand + fall + point)), depth=0.1, label=FALL, **at,
     )  # fmt: skip
     draft.cut(
         "fall_back", ("stand", (0.0, stand)), ("side", (back - 0.004, stand)), ("end", (back + 0.014, stand + fall)),
@@ -183,9 +184,9 @@ def jeans(m: Measures) -> Pattern:
         )  # fmt: skip
         draft.sew((f"{name}.crotch", f"{name}.crotch"))
     draft.sew(
-        *((f"front.{edge}", f"back.{edge}") for edge in ("shin", "side", "hip", "inner", "calf")), ("front.yoke", "yoke.side"),
-        ("yoke.leg", "back.yoke"), ("yoke.centre", "yoke.centre"), ("front.waist", "band_front.waist"),
-        ("yoke.waist", "band_back.waist"), ("band_front.side", "band_back.side"),
+        *((f"front.{edge}", f"back.{edge}") for edge in ("shin", "side", "hip", "inner", "calf")),
+        ("front.yoke", "yoke.side"), ("yoke.leg", "back.yoke"), ("yoke.centre", "yoke.centre"),
+        ("front.waist", "band_front.waist"), ("yoke.waist", "band_back.waist"), ("band_front.side", "band_back.side"),
     )  # fmt: skip
     return draft.pattern()
 
@@ -207,7 +208,7 @@ def circle_dress(m: Measures) -> Pattern:
         quarter, high = 0.25 * (m["bust"] + 0.05) + more, level + back + intake
         armhole = (tip[0], high - (m["neck_height"] - tip[1]))
         under = (quarter, armhole[1] - (tip[1] - m["armpit_height"] + 0.015))
-        dart = quarter - 0.015 - 2.0 * part
+        dart = max(quarter - 0.015 - 2.0 * part, 0.006)
         side = (dart + 2.0 * part, level)
         low = 0.6 * (under[1] - intake - level)
         apex = min(m["bust_height"] - 0.03, level + low - 0.01)
@@ -251,7 +252,7 @@ def _circle(draft: Draft, waist: tuple[str, ...], radius: float, length: float, 
 
 
 def _split(start: Point, control: Point, end: Point, share: float) -> tuple[Point, Point, Point]:
-    """A quadratic curve cut in two at a share of its parameter: the one's control, the place of the cut, the other's."""
+    """A quadratic curve cut in two at a share of its parameter: the first's control, the cut, the second's control."""
     one, middle, other = (np.array(point) for point in (start, control, end))
     one, other = one + share * (middle - one), middle + share * (other - middle)
     return tuple(one), tuple(one + share * (other - one)), tuple(other)
