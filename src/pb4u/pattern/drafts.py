@@ -115,7 +115,7 @@ def _sleeve(draft: Draft, m: Measures, shoulder: Point) -> None:
 
 def _collar(draft: Draft, neck: Point, throat: Point, nape: Point) -> None:
     """A stand round the neck hole, and a fall that lies over it and ends in points."""
-    stand, fall, point, placket = 0.03, 0.045, 0.025, throat[0]
+    stand, fall, point, placket = 0.03, 0.042, 0.01, throat[0]
     front, back = placket + draft.length("front.neck"), draft.length("back.neck")
     rise = float(np.arctan2(neck[1] - throat[1], neck[0]))
     at = {"place": (0.0, throat[1]), "turn": min(rise, 0.6)}
