@@ -32,10 +32,10 @@ def measures(body: str = "woman", **shape: float) -> dict[str, float]:
 
 
 def level_length(pattern: Pattern, panel: str, at: float) -> float:
-    """Length [m] of the straight edges of a panel that lie at a height [m]."""
+    """Length [m] of the edges of a panel that lie at a height [m]."""
     own = pattern.panels[pattern.index[panel]]
     ends = np.stack([own.corners, np.roll(own.corners, -1, axis=0)], axis=1)
-    return float(own.edge_lengths[(np.abs(ends[:, :, 1] - at) < 1e-9).all(axis=1)].sum())
+    return float(own.edge_lengths[(np.abs(ends[:, :, 1] - at) < 2e-3).all(axis=1)].sum())
 
 
 def test_a_body_has_all_measures():
@@ -55,6 +55,8 @@ def test_every_pattern_is_drafted_for_every_shape(name: str, body: str, shape: d
         one, other = pattern.seam_lengths(seam)
         gathered = {side[0].partition("_")[0] for side in (seam.first, seam.second)} == {"sleeve", "cuff"}
         assert one == pytest.approx(other, rel=0.35 if gathered else 0.04), seam
+    for triangles in (1900, 2500):
+        assert len(mesh_pattern(pattern, triangles).faces) == pytest.approx(triangles, rel=0.1)
 
 
 @pytest.mark.parametrize("body", ["woman", "man"])
@@ -125,8 +127,8 @@ def test_a_draft_mirrors_its_left_half_and_cuts_on_the_fold():
     assert [panel.name for panel in pattern.panels] == ["front", "back_left", "back_right"]
     # The outside shows forwards in front, backwards behind.
     assert [np.sign(signed_area(panel.corners)) for panel in pattern.panels] == [1.0, -1.0, -1.0]
-    assert pattern.panels[0].area == pytest.approx(-sum(panel.area for panel in pattern.panels[1:]))
-    assert draft.length("front.top", "front.hem") == pytest.approx(0.4)
+    assert pattern.panels[0].area == pytest.approx(-sum(panel.area for panel in pattern.panels[1:]), rel=0.01)
+    assert draft.length("front.top", "front.hem") == pytest.approx(0.4, abs=1e-5)
     mesh = mesh_pattern(pattern, 200)
     for one, other in mesh.sides:
         assert np.abs(mesh.placed[one][:, :2] - mesh.placed[other][:, :2]).max() < 1e-9

@@ -21,6 +21,9 @@ Edge: TypeAlias = tuple[Any, ...]
 FOLD = "fold"
 """Last edge of a panel that is cut on the fold of the cloth: both its halves are one."""
 
+_BOW = 1e-3
+"""Distance [m] by which the ends of a fold are moved outwards."""
+
 _SIDES = {1: "left", -1: "right"}
 
 
@@ -57,7 +60,12 @@ class Draft:
         for side in (1,) if on_fold else (1, -1):
             edges, sides = _mirrored(outline, side), [side] * len(outline)
             if on_fold:
-                other = _reversed(_mirrored(outline, -1))
+                # Of two edges in one line the triangles at their corner would have no area.
+                bow = np.copysign(_BOW, edges[0][1][1] - edges[-1][1][1])
+                for k, up in ((0, bow), (-1, -bow)):
+                    edge, (x, y), *controls = edges[k]
+                    edges[k] = (edge, (x, y + up), *controls)
+                other = _reversed(_mirrored(edges, -1))
                 edges, sides = [*edges[:-1], *other[1:]], [1] * (len(outline) - 1) + [-1] * (len(outline) - 1)
             if signed_area(np.array([edge[1] for edge in edges])) * depth < 0.0:
                 edges, sides = _reversed(edges), sides[::-1]

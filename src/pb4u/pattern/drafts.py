@@ -203,12 +203,12 @@ def circle_dress(m: Measures) -> Pattern:
     back = m["neck_height"] - level + 0.01
     # What the front is longer than the back, over the bust, is taken in by a dart in the side.
     for name, depth, more, intake, dip in (
-        ("front", 0.15, 0.01, max(m["front_length"] - back, 0.006), 0.10), ("back", -0.15, -0.01, 0.0, 0.05),
+        ("front", 0.15, 0.01, max(m["front_length"] - back, 0.01), 0.10), ("back", -0.15, -0.01, 0.0, 0.05),
     ):  # fmt: skip
         quarter, high = 0.25 * (m["bust"] + 0.05) + more, level + back + intake
         armhole = (tip[0], high - (m["neck_height"] - tip[1]))
         under = (quarter, armhole[1] - (tip[1] - m["armpit_height"] + 0.015))
-        dart = max(quarter - 0.015 - 2.0 * part, 0.006)
+        dart = max(quarter - 0.015 - 2.0 * part, 0.015)
         side = (dart + 2.0 * part, level)
         low = 0.6 * (under[1] - intake - level)
         apex = min(m["bust_height"] - 0.03, level + low - 0.01)
