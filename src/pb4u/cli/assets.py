@@ -98,17 +98,18 @@ def catalogue() -> dict[str, list[dict[str, Any]]]:
     from pb4u.motion.library import motion_names
     from pb4u.simulation.models import model_descriptions
 
+    fabrics = {name: cut.fabric for name, cut in CUTS.items()} | {name: each.fabric for name, each in DRAFTED.items()}
     return {
         "bodies": [{"name": name, **_body_entries(name)} for name in body_names()],
         "motions": [{"name": name, "description": _WHAT[name]} for name in motion_names()],
         "garments": [
             {
                 "name": name,
-                "description": f"{_WHAT[name]}; of {made.fabric}",
-                "material": made.fabric,
+                "description": f"{_WHAT[name]}; of {fabric}",
+                "material": fabric,
                 "levels": dict(LEVELS),
             }
-            for name, made in (*CUTS.items(), *DRAFTED.items())
+            for name, fabric in fabrics.items()
         ],
         "materials": [
             {"name": name, "description": _material_line(material), **asdict(material)}

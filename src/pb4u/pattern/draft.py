@@ -74,8 +74,8 @@ class Draft:
             position = np.add(away, [side * place[0], place[1], 0.0])
             panel = name if on_fold else f"{name}_{_SIDES[side]}"
             self._panels[panel] = Panel(
-                panel, [edge[1] for edge in edges], position, axes.as_matrix(),
-                {k: edge[2:] for k, edge in enumerate(edges) if edge[2:]}, label,
+                panel, np.array([edge[1] for edge in edges]), position, axes.as_matrix(),
+                {k: Curve(np.array(edge[2:])) for k, edge in enumerate(edges) if edge[2:]}, label,
             )  # fmt: skip
             for k, (edge, own) in enumerate(zip(edges, sides, strict=True)):
                 self._edges[f"{name}.{edge[0]}", own] = panel, k

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from itertools import pairwise
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -97,7 +97,8 @@ def _sleeve(draft: Draft, m: Measures, shoulder: Point) -> None:
     length, full = m["arm_length"] + 0.03 - cuff, 1.3 * wrist
     # The cap is as long as the armhole, but for the hollow of its curve.
     cap = float(np.sqrt(max((0.95 * draft.length("front.armhole")) ** 2 - half**2, (0.3 * half) ** 2)))
-    at, curve = {"place": shoulder, "turn": 0.5 * np.pi - m["arm_angle"], "label": "arm"}, (-0.4 * half, 0.0)
+    at: dict[str, Any] = {"place": shoulder, "turn": 0.5 * np.pi - m["arm_angle"], "label": "arm"}
+    curve = (-0.4 * half, 0.0)
     for name, depth in (("front", 0.1), ("back", -0.1)):
         draft.cut(
             f"sleeve_{name}", ("top", (0.0, 0.0)), ("end", (0.0, -length)), ("under", (-full, -length)),
@@ -118,7 +119,7 @@ def _collar(draft: Draft, neck: Point, throat: Point, nape: Point) -> None:
     stand, fall, point, placket = 0.03, 0.042, 0.01, throat[0]
     front, back = placket + draft.length("front.neck"), draft.length("back.neck")
     rise = float(np.arctan2(neck[1] - throat[1], neck[0]))
-    at = {"place": (0.0, throat[1]), "turn": min(rise, 0.6)}
+    at: dict[str, Any] = {"place": (0.0, throat[1]), "turn": min(rise, 0.6)}
     draft.cut(
         "stand_front", ("placket", (0.0, 0.0)), ("neck", (placket, 0.0)), ("side", (front, 0.0)),
         ("fall", (front - 0.006, stand)), ("front", (0.004, stand)), depth=0.1, **at,
@@ -169,7 +170,7 @@ def jeans(m: Measures) -> Pattern:
         cut = (middle[0] - 0.2 * slant, middle[1] - yoke - 0.5 * raised)
         curve = ((seat, crotch + 0.02), (seat - 0.2 * fork, crotch))
         upper = [("yoke", low, above), ("waist", side), ("crotch", middle, *curve)]
-        at = {"depth": 0.2 if name == "front" else -0.2, "place": (half, 0.0), "label": "leg"}
+        at: dict[str, Any] = {"depth": 0.2 if name == "front" else -0.2, "place": (half, 0.0), "label": "leg"}
         if name == "back":
             upper = [("yoke", low), ("crotch", cut, *curve)]
             draft.cut("yoke", ("side", low, above), ("waist", side), ("centre", middle), ("leg", cut), **at)
