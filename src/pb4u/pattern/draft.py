@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pb4u.pattern.pattern import Panel, Pattern, Seam, signed_area
+from pb4u.pattern.pattern import Curve, Panel, Pattern, Seam, signed_area
 
 Point: TypeAlias = tuple[float, float]
 Edge: TypeAlias = tuple[Any, ...]
