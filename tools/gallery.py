@@ -34,6 +34,9 @@ SHOWN = {
     "cardigan": ("woman", "arms", 14, 30.0),
     "trousers": ("man", "squat", 14, 40.0),
     "skirt": ("woman", "twist", 14, 25.0),
+    "shirt": ("man", "walk", 14, 25.0),
+    "jeans": ("woman", "walk", 14, -25.0),
+    "circle_dress": ("woman", "turn", 18, 25.0),
 }
 """Garment -> body, motion, the frame of it that is drawn, azimuth of the view [degrees]."""
 

@@ -15,7 +15,7 @@ _LISTED, _FEW = 20, 8
 
 
 _ALIASES = {
-    "female": "woman", "male": "man", "pants": "trousers", "jeans": "trousers", "leggings": "trousers",
+    "female": "woman", "male": "man", "pants": "trousers", "leggings": "trousers",
     "jacket": "cardigan", "coat": "cardigan", "hoodie": "longsleeve", "sweater": "longsleeve",
 }  # fmt: skip
 """What users call things -> what they are called here."""

@@ -113,7 +113,8 @@ def test_assets_lists_every_name_of_the_contract(pb4u: Callable) -> None:
     found = json.loads(pb4u("assets", "--json", "-").out)
     names = {kind: [row["name"] for row in rows] for kind, rows in found.items()}
     assert set(names["garments"]) == {
-        "tshirt", "tanktop", "longsleeve", "dress", "fitted_dress", "cardigan", "trousers", "skirt",
+        "tshirt", "tanktop", "longsleeve", "dress", "fitted_dress", "cardigan", "trousers", "skirt", "shirt",
+        "jeans", "circle_dress",
     }  # fmt: skip
     assert set(names["motions"]) == {"walk", "run", "jump", "arms", "twist", "squat", "turn", "dance"}
     assert {"woman", "man"} <= set(names["bodies"])

@@ -12,8 +12,7 @@ FILES = {
     "scene.toml": "[scene]\nmotoin = 3\n",
 }
 SENTENCES = {
-    "simulate --garment tshrt": "There is no garment 'tshrt'; did you mean tshirt or skirt? There are tshirt, tanktop, "
-    "longsleeve, dress, fitted_dress, cardigan, trousers, skirt.",
+    "simulate --garment tshrt": "There is no garment 'tshrt'; did you mean tshirt or shirt or skirt?",
     "simulate --garment absent.obj": "There is no garment file absent.obj.",
     "simulate --garment cut.obj": 'cut.obj line 4: face "f 1 2 9" names a vertex out of range, the file has 3; '
     "export it again.",
@@ -39,7 +38,7 @@ SENTENCES = {
     "view absent.npz": "There is no trajectory file absent.npz.",
     "convert absent.npz a.pc2": "There is no trajectory file absent.npz.",
     "check absent.obj": "There is no garment file absent.obj.",
-    "assets write tshrt a.obj": "There is no built-in asset 'tshrt'; did you mean tshirt or twist or skirt?",
+    "assets write tshrt a.obj": "There is no built-in asset 'tshrt'; did you mean tshirt or shirt or twist?",
     "evaluate --out r --protocol resolutions": "There is no protocol 'resolutions'; did you mean resolution? There are "
     "resolution, unseen, depth, efficiency, ablation, controls, robustness.",
     "evaluate --out r --workers 0": "The number of workers must be 1 or more, not 0.",

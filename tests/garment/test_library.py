@@ -14,9 +14,10 @@ from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputError
 from pb4u.garment.body_form import BodyForm
 from pb4u.garment.clearance import rest_distances
+from pb4u.garment.cuts import CUTS
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
-from pb4u.garment.library import LEVELS, build_garment, garment_names
+from pb4u.garment.library import LEVELS, build_garment
 from pb4u.geometry.topology import Topology
 
 LOOPS = {
@@ -51,7 +52,7 @@ def on_both_bodies(*names: str) -> pytest.MarkDecorator:
     """Each garment on each body, by turns the woman's and the man's among the slow tests."""
     params = []
     for name in names:
-        for k, shape in enumerate(("woman", "man"), garment_names().index(name)):
+        for k, shape in enumerate(("woman", "man"), list(CUTS).index(name)):
             params.append(pytest.param(name, shape, marks=[pytest.mark.slow] if k % 2 else []))
     return pytest.mark.parametrize(("name", "shape"), params)
 
@@ -74,7 +75,7 @@ def check(garment: Garment, body: ShapedBody, triangles: int) -> None:
     assert rest_distances(np.concatenate([corners.mean(axis=1), middles]), body).min() > 0.0035
 
 
-@on_both_bodies(*garment_names())
+@on_both_bodies(*CUTS)
 def test_every_garment_fits_both_bodies(name: str, shape: str, bodies: dict[str, ShapedBody]) -> None:
     garment = made(name, shape)
     check(garment, bodies[shape], SMALL)

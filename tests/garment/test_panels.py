@@ -12,7 +12,7 @@ from pb4u.garment import panels
 from pb4u.garment.body_form import form_of
 from pb4u.garment.cuts import CUTS
 from pb4u.garment.garment import Garment
-from pb4u.garment.library import build_garment, garment_names
+from pb4u.garment.library import build_garment
 from pb4u.geometry.principal_stretch import principal_stretches, weighted_percentile
 from pb4u.geometry.topology import Topology, uv_islands
 from pb4u.geometry.triangle_mesh import carried_directions, face_areas
@@ -59,11 +59,11 @@ def check(garment: Garment) -> None:
 @pytest.mark.parametrize(
     ("name", "who", "triangles"),
     [
-        *((name, "woman", 900) for name in garment_names()),
+        *((name, "woman", 900) for name in CUTS),
         ("tshirt", "man", 1200),
         *(
             pytest.param(name, who, count, marks=pytest.mark.slow)
-            for name in garment_names()
+            for name in CUTS
             for who, count in (("man", 600), ("woman", 2500), ("woman", 25000))
         ),
     ],

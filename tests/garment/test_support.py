@@ -7,11 +7,12 @@ from cloth_shapes import saved
 from pb4u.body.library import load_body
 from pb4u.errors import InputWarning
 from pb4u.garment import support
+from pb4u.garment.cuts import CUTS
 from pb4u.garment.diagnosis import diagnose
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import read_source
-from pb4u.garment.library import build_garment, garment_names
+from pb4u.garment.library import build_garment
 from pb4u.garment.material import MATERIALS
 from pb4u.garment.support import LEAST_AREA, find_support, slide
 from pb4u.garment.tacks import tacked
@@ -34,7 +35,7 @@ def source_of(garment):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=[] if name in ("tanktop", "skirt") else [pytest.mark.slow]) for name in garment_names()],
+    [pytest.param(name, marks=[] if name in ("tanktop", "skirt") else [pytest.mark.slow]) for name in CUTS],
 )
 def test_what_is_pinned_is_told_once_a_file_has_lost_its_pins(name, woman, tmp_path):
     built = build_garment(name, woman, 600)

@@ -42,6 +42,9 @@ _WHAT = {
     "cardigan": "open in front, sleeves to the wrists, wide: over other garments",
     "trousers": "to the ankles, held by the waistband",
     "skirt": "flared, to the knees, held by the waistband",
+    "shirt": "buttoned, with collar, placket and cuffs, of a pattern by measure",
+    "jeans": "straight, with yoke and waistband, which holds them, of a pattern by measure",
+    "circle_dress": "no sleeves, fitted with darts, full-circle skirt to the knees, of a pattern by measure",
     "walk": "a steady walk: easy for cloth",
     "run": "a steady run: arms and legs move fast",
     "jump": "crouches, jumps on the spot and lands: cloth flies up",
@@ -89,22 +92,24 @@ def catalogue() -> dict[str, list[dict[str, Any]]]:
 
     from pb4u.body.library import body_names
     from pb4u.garment.cuts import CUTS
+    from pb4u.garment.drafted import DRAFTED
     from pb4u.garment.library import LEVELS
     from pb4u.garment.material import BUILT_IN
     from pb4u.motion.library import motion_names
     from pb4u.simulation.models import model_descriptions
 
+    fabrics = {name: cut.fabric for name, cut in CUTS.items()} | {name: each.fabric for name, each in DRAFTED.items()}
     return {
         "bodies": [{"name": name, **_body_entries(name)} for name in body_names()],
         "motions": [{"name": name, "description": _WHAT[name]} for name in motion_names()],
         "garments": [
             {
                 "name": name,
-                "description": f"{_WHAT[name]}; of {cut.fabric}",
-                "material": cut.fabric,
+                "description": f"{_WHAT[name]}; of {fabric}",
+                "material": fabric,
                 "levels": dict(LEVELS),
             }
-            for name, cut in CUTS.items()
+            for name, fabric in fabrics.items()
         ],
         "materials": [
             {"name": name, "description": _material_line(material), **asdict(material)}

@@ -21,6 +21,9 @@ from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology, uv_islands
 from pb4u.geometry.triangle_mesh import edge_lengths, face_areas, laid_flat
 
+_CREASE = 1e-3
+"""Share of its bending stiffness that cloth has along a pressed edge: some, as a network reads its logarithm."""
+
 
 @dataclass(frozen=True, eq=False)
 class SourceMap:
@@ -123,6 +126,8 @@ class Garment:
         pieces: names of parts of its file, each once; left out, those of its `appearances`.
         piece_of_face: (faces,) int64 which of the `pieces` each face belongs to, -1 for none; or None.
         springs: on which its pins are held; None where they hold exactly, and always.
+        pressed: (faces,) bool, faces that are pressed over: along edges between them and others cloth bends as good as
+            freely; None for none.
 
     Raises:
         InputError: an array has another shape, or holds what cannot be used. Lists are taken for arrays.
@@ -150,6 +155,7 @@ class Garment:
     pieces: tuple[str, ...] = ()
     piece_of_face: np.ndarray | None = None
     springs: PinSprings | None = None
+    pressed: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         owner = f"garment {self.name}"
@@ -304,6 +310,8 @@ class Garment:
         """
         hinge_faces = self.topology.hinge_faces
         bending, areas = self._side_bending(hinge_faces), self.face_areas[hinge_faces]
+        if self.pressed is not None:
+            bending = np.where(np.diff(self.pressed[hinge_faces]), _CREASE * bending, bending)
         with np.errstate(divide="ignore", invalid="ignore"):
             series = areas.sum(axis=1) / (areas / bending).sum(axis=1)
         series = np.where(bending[:, 0] == bending[:, 1], bending[:, 0], series)

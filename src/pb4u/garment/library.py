@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pkgutil import resolve_name
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -14,6 +15,7 @@ from pb4u.garment.body_form import form_of
 from pb4u.garment.clearance import clear_of_body
 from pb4u.garment.cuts import CUTS, Cut
 from pb4u.garment.dictionary_entry import DictionaryEntry
+from pb4u.garment.drafted import DRAFTED
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import FABRICS, MATERIALS, Material
 from pb4u.garment.panels import flat_panels
@@ -32,6 +34,9 @@ SEWN: dict[str, str] = dict.fromkeys((".json", ".toml", ".npz"), "pb4u.pattern.f
 
 It is named here and not imported: sewing needs the solver, which is built on garments."""
 
+DRAFTED_BY = "pb4u.pattern.drafted_garments:drafted_garment"
+"""What makes the garments of `DRAFTED` (name, body, triangles)."""
+
 RestShape: TypeAlias = Literal["flat", "moulded"]
 """What a built-in garment is at rest: flat panels, or the shape that it has on the body."""
 
@@ -40,7 +45,7 @@ FEWEST_TRIANGLES, MOST_TRIANGLES = 200, 200_000
 
 def garment_names() -> tuple[str, ...]:
     """Names of the built-in garments."""
-    return tuple(CUTS)
+    return (*CUTS, *DRAFTED)
 
 
 def build_garment(
@@ -61,13 +66,19 @@ def build_garment(
     Raises:
         InputError: an unknown name or rest shape, a count out of range, or a body without those joints.
     """
-    refuse_unknown("garment", [name], CUTS)
+    refuse_unknown("garment", [name], garment_names())
     refuse_unknown("rest shape", [rest_shape], get_args(RestShape))
     if isinstance(triangles, bool) or not isinstance(triangles, (int, np.integer)):
         raise InputError(f"The number of triangles must be a whole number, not {triangles!r}.")
     if not FEWEST_TRIANGLES <= triangles <= MOST_TRIANGLES:
         raise InputError(
             f"A built-in garment has between {FEWEST_TRIANGLES} and {MOST_TRIANGLES} triangles, not {triangles}."
+        )
+    if name in DRAFTED:
+        if rest_shape != "flat":
+            raise InputError(f"{name} is sewn of flat panels and cannot be moulded; its rest shape is flat.")
+        return body.kept(
+            f"{name} of {triangles} triangles", lambda body: resolve_name(DRAFTED_BY)(name, body, triangles)
         )
     return body.kept(
         f"{rest_shape} {name} of {triangles} triangles",

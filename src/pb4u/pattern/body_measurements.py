@@ -17,6 +17,9 @@ _SLICE = 0.012
 _NECK_ROOM = 0.01
 """Distance [m] beside the neck at which the shoulder begins."""
 
+_LOW_WAIST = 0.25
+"""How far below the waist jeans are worn, as a share of the way to the hips."""
+
 _UNDER_BUST = 0.045
 """Height of the fold under the bust below its fullest level, as a share of the body's height."""
 
@@ -45,6 +48,44 @@ def measurements_yaml(measures: Mapping[str, float]) -> str:
     """
     rows = [f"  {name}: {value:g}" for name, value in sorted(measures.items())]
     return "\n".join(["body:", *rows, ""])
+
+
+def tailors_measures(body: ShapedBody) -> dict[str, float]:
+    """Measures that the built-in patterns are drafted from [m; angles rad], by name.
+
+    What ends on `_height` is above the floor; `_width`s are straight across, other measures those of a tape.
+
+    Args:
+        body: the resting body.
+
+    Raises:
+        InputError: its skeleton lacks the joints of shoulders, arms, hips or legs.
+    """
+    tape = _Tape(body)
+    form, arm, leg = tape.form, tape.form.arms[0], tape.form.legs[0]
+    lengths, low_waist = tape.lengths(), tape.waist - _LOW_WAIST * (tape.waist - tape.hips)
+    return {name: float(lengths[name]) for name in ("bust", "waist", "hips", "wrist", "arm_length")} | {
+        "neck_height": float(tape.shoulder[1]),
+        "neck_width": 2.0 * float(tape.shoulder[0]),
+        "shoulder_height": float(tape.shoulder_end[1]),
+        "shoulder_width": 2.0 * float(tape.shoulder_end[0]),
+        "armpit_height": form.armpit,
+        "upper_arm": tape.limb_girth(arm, 0.3),
+        "arm_angle": float(np.radians(tape.angles()["arm_pose_angle"])),
+        "bust_height": tape.bust,
+        "bust_points": lengths["bust_points"],
+        "front_length": lengths["waist_over_bust_line"],
+        "waist_height": tape.waist,
+        "low_waist_height": low_waist,
+        "low_waist": tape.girth(low_waist),
+        "hip_height": tape.hips,
+        "crotch_height": form.crotch,
+        "thigh": lengths["leg_circ"],
+        "knee_height": form.knee_height,
+        "knee": tape.limb_girth(leg, 1.0),
+        "calf": max(tape.limb_girth(leg, at) for at in (1.2, 1.3, 1.4)),
+        "ankle_height": form.ankle_height,
+    }
 
 
 def shoulder_height(body: ShapedBody, x: float) -> float:

@@ -34,7 +34,7 @@ from pb4u.pattern.svg import read_drawn
 FORMAT_VERSION = 1
 """Format of a dressed garment's file."""
 
-ALGORITHM = 8
+ALGORITHM = 9
 """To be raised whenever `dress` gives different garments: those that are kept are then dressed again."""
 
 _LAYOUT: Layout = {

@@ -17,6 +17,9 @@ MOST_PANELS, MOST_EDGES = 500, 1000
 MOST_EASE = 6.0
 """How many times longer one side of a seam may be than the other: full gathers take three."""
 
+FALL = "fall"
+"""Label of a panel that is turned over, outwards, along the seam that joins it to the others: the fall of a collar."""
+
 _SAMPLES = 1025
 """Points of a curve between which its length is measured along chords: a quarter circle to a part in ten million."""
 

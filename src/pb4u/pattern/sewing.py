@@ -7,18 +7,21 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.collision.crossings import self_crossings
+from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.environment import UP, Environment
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
-from pb4u.garment.material import Material
+from pb4u.garment.material import MATERIALS, Material
 from pb4u.garment.source_map import nearest_places
 from pb4u.garment.support import find_support
 from pb4u.garment.tangles import untangled_start
 from pb4u.pattern.mesh import PatternMesh
+from pb4u.pattern.pattern import FALL
 from pb4u.pattern.placement import around, off_body, sleeve_points
 from pb4u.pattern.thin_body import SewingBody
 from pb4u.physics.contact.contact_set import nearest_planes
@@ -44,6 +47,9 @@ _LIFTS = (0.0, 0.02, 0.04, 0.06)
 _GROWTH_STEPS = 5
 """Steps in which the body fills out: 1 or 2 cm at the waist in each."""
 
+_BENDING_STEPS = 20
+"""The same where there are sleeves: wrists move by a centimetre in each as arms bend, and stay in their cuffs."""
+
 _NEAR = 0.1
 """Distance [m] from the skin within which cloth begins a step by moving with it, less and less towards it."""
 
@@ -62,6 +68,9 @@ _ITERATIONS = 15
 _STILL = 1e-3
 """Rms displacement [m] of a step at which the garment hangs."""
 
+_OVER = 0.005
+"""Distance [m] from the cloth beneath at which what is turned over it begins."""
+
 _LEFT_INSIDE = 1e-3
 """Depth [m] from which on cloth that hangs is pushed out of the body."""
 
@@ -75,9 +84,11 @@ def sewn_garment(mesh: PatternMesh, places: np.ndarray, material: Material) -> G
         material: of the cloth.
     """
     panels = tuple(panel.name for panel in mesh.pattern.panels)
+    falls = np.array([panel.label == FALL for panel in mesh.pattern.panels])[mesh.face_panel]
     return Garment(
         mesh.pattern.name, places, mesh.sewn_faces, material,
         uvs=mesh.uvs, uv_faces=mesh.faces, rest_uv=mesh.rest_uv, panels=panels,
+        pressed=falls if falls.any() else None,
     )  # fmt: skip
 
 
@@ -99,6 +110,33 @@ def carried(source: PatternMesh, places: np.ndarray, target: PatternMesh) -> np.
         face, shares = nearest_places(flat[1][own], flat[0], faces)
         moved[own] = np.einsum("pc,pcx->px", shares, places[source.vertex[faces[face]]])
     return target.sewn(moved)
+
+
+def turned_over(mesh: PatternMesh, places: np.ndarray) -> np.ndarray:
+    """Places (vertices, 3) [m] where panels labelled `FALL` lie down over the cloth below the seam that they hang on.
+
+    Args:
+        mesh: mesh of the pattern.
+        places: (vertices, 3) of its garment [m], where they stand up from there.
+    """
+    is_fall = np.array([panel.label == FALL for panel in mesh.pattern.panels])
+    falls = is_fall[mesh.panel]
+    if not falls.any():
+        return places
+    fold, turned = falls & np.isin(mesh.vertex, mesh.vertex[~falls]), places.copy()
+    for panel in np.unique(mesh.panel[fold]):
+        own, along = np.flatnonzero(mesh.panel == panel), np.flatnonzero(fold & (mesh.panel == panel))
+        far = cKDTree(mesh.points[along]).query(mesh.points[own])[0][:, None]
+        out = (places[mesh.vertex[own]] - places[mesh.vertex[fold]].mean(axis=0)) * (1.0 - np.array(UP))
+        out /= np.linalg.norm(out, axis=1, keepdims=True)
+        slope = np.radians(40.0 + 30.0 * np.maximum(out[:, 2:], 0.0))
+        turned[mesh.vertex[own]] = places[mesh.vertex[own]] + far * (
+            np.cos(slope) * out - (1.0 + np.sin(slope)) * np.array(UP)
+        )
+    loose = np.setdiff1d(mesh.vertex[falls], mesh.vertex[~falls])
+    beneath = TriangleSurface(mesh.sewn_faces[~is_fall[mesh.face_panel]], len(places)).at(places).nearest(turned[loose])
+    turned[loose] += np.maximum(_OVER - beneath.signed_distance.numpy(), 0.0)[:, None] * beneath.normals.numpy()
+    return turned
 
 
 class Sewing:
@@ -157,7 +195,8 @@ class Sewing:
     def sewn(self) -> np.ndarray:
         """Places (vertices, 3) [m] of the garment around the body in its size, without weight."""
         start, share = self.clear_start(off_body(self.mesh, self.placed, self.thin_body.thin(1.0)))
-        garment = self.garment(start)
+        # Stretched threads of stiff cloth would pull it through an arm.
+        garment = replace(sewn_garment(self.mesh, start, MATERIALS["default"]), pressed=None)
         packed, x = pack([garment]), torch.from_numpy(start)
         solver = Solver(tolerance=1.0, max_iterations=_ITERATIONS)
         # Sleeves may be placed through the sides that they are sewn to; they part as the seams close.
@@ -169,9 +208,12 @@ class Sewing:
             x = self.step(soft, x, solver, closing, (thin, thin))
         if crosses:
             x = torch.from_numpy(untangled_start([garment], x.numpy()))
-        for part in range(_GROWTH_STEPS):
-            poses = self.pose(share, part / _GROWTH_STEPS), self.pose(share, (part + 1) / _GROWTH_STEPS)
+        parts = _BENDING_STEPS if len(sleeve_points(self.mesh, self.placed)) else _GROWTH_STEPS
+        for part in range(parts):
+            poses = self.pose(share, part / parts), self.pose(share, (part + 1) / parts)
             x = self.step(packed, x, solver, self.smooth, poses)
+        own = self.garment(turned_over(self.mesh, x.numpy()))
+        packed, x = pack([own]), torch.from_numpy(untangled_start([own], own.vertices))
         return self.step(packed, x, solver, self.smooth, (poses[1], poses[1])).numpy()
 
     def clear_start(self, places: np.ndarray) -> tuple[np.ndarray, float]:
