@@ -29,8 +29,13 @@ _TO_Y_UP = {"Z": np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0]), "-Y": np.arr
 _PLAIN = 0.7
 # Places of the pelvis in bodies at rest [m]: not taken in, of SMPL and of SMPL-X.
 _PELVES = np.array([[0.0, 0.0, 0.0], [0.0, -0.22, 0.03], [0.0, -0.35, 0.01]])
-# A floor fits better by so much [m], and not at all beyond so much.
-_BETTER, _NO_FLOOR = 0.05, 0.5
+# A floor fits better by so much [m], and not at all beyond so much. A root that begins so near [m] was put to the origin.
+_BETTER, _NO_FLOOR, _AT_ORIGIN = 0.05, 0.5, 0.02
+_ARMS = tuple(
+    f"{side}_{part}"
+    for side in ("left", "right")
+    for part in ("elbow", "wrist", "hand", "thumb", "index", "middle", "ring", "pinky")
+)
 
 # A pose file holds no skeleton. This one has the proportions of an average adult in round numbers [m]; it serves to
 # scale the travel to other bodies and to tell how limbs rest, in a T-pose with the legs a little apart.
@@ -210,8 +215,8 @@ def smpl_recording(
 def _up_axis(skeleton: Skeleton, sequence: PoseSequence, usual: str, told_by: ToldBy) -> str:
     """The axis that is up: the usual one, or another that the pelvis plainly points along on average.
 
-    That counts where a floor at 0 fits better there. Where it fits on neither, the pelvis decides for the axes of a
-    camera, and for any where nothing tells.
+    That counts where a floor at 0 fits better there. A root that begins at the origin tells no floor. Where none fits,
+    the pelvis tells the axes of a camera, unless people are on their hands, and any axis where nothing else tells.
     """
     _, y, z = rotate(sequence.rotations[:, 0], np.array([0.0, 1.0, 0.0])).mean(axis=0)
     if usual == "Z":
@@ -229,9 +234,14 @@ def _up_axis(skeleton: Skeleton, sequence: PoseSequence, usual: str, told_by: To
         return min(floor_misfit(low + direction @ pelvis) for pelvis in _PELVES)
 
     fits = {axis: misfit(axis) for axis in (usual, other)}
-    if min(fits.values()) > _NO_FLOOR:
-        return other if other == "-Y" or told_by == "nothing" else usual
-    return other if fits[other] + _BETTER < fits[usual] else usual
+    centred = bool(np.abs(sequence.root_positions[0]).max() < _AT_ORIGIN)
+    if not centred and min(fits.values()) <= _NO_FLOOR:
+        return other if fits[other] + _BETTER < fits[usual] else usual
+    if other != "-Y":
+        return other if told_by == "nothing" and not centred else usual
+    lowest = (joints @ _AXES[usual]).argmin(axis=1)
+    on_hands = np.isin(lowest, [k for k, name in enumerate(skeleton.names) if name.startswith(_ARMS)]).mean() > 0.5
+    return usual if on_hands or (centred and usual == "Z") else other
 
 
 def full_poses(path: Path, parameters: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
