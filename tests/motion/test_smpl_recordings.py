@@ -279,3 +279,13 @@ def test_numbers_that_nobody_recorded_are_refused(tmp_path, change, says):
     with pytest.raises(InputError) as refusal:
         load_motion(tmp_path / "odd.npz")
     assert says in str(refusal.value)
+
+
+def test_labels_of_bedlam_and_near_names_are_told(tmp_path):
+    labels = {key: np.zeros(1) for key in ("imgname", "pose_world", "trans_world", "pose_cam", "betas")}
+    np.savez(tmp_path / "labels.npz", **labels)
+    with pytest.raises(InputError, match="labels images of BEDLAM: each row of its pose_world and trans_world"):
+        read_amass(tmp_path / "labels.npz")
+    np.savez(tmp_path / "clip.npz", **{f"a{k}": np.zeros(1) for k in range(12)}, root_trans=np.zeros((2, 3)))
+    with pytest.raises(InputError, match="has no poses and no trans; it holds root_trans, a0"):
+        read_amass(tmp_path / "clip.npz")

@@ -37,6 +37,7 @@ from pb4u.garment.garment_file import fix_command
 from pb4u.garment.limbs_inside import limbs_outside
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.garment.support import Support, find_support
+from pb4u.garment.thread_seams import drawn_together, sewable_threads
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.triangle_mesh import edge_lengths
 
@@ -108,6 +109,9 @@ def diagnose(
         garment = PolygonMesh(garment.vertices, tuple(garment.faces))
     surface = SourceSurface.of(garment)
     findings = surface_findings(surface)
+    if len(threads := sewable_threads(surface)):
+        garment = drawn_together(surface, threads)
+        surface = SourceSurface.of(garment)
     vertices = garment.vertices[np.unique(surface.faces)]
     lengths = edge_lengths(garment.vertices, surface.topology.edges)
     measures: dict[str, float | None] = {

@@ -78,7 +78,7 @@ def _finding(surface: SourceSurface, fault: Fault) -> Finding:
     concerned = fault.vertices
     if fault.faces is not None and concerned is None:
         concerned = _corners(surface, fault.faces)
-    severity = Severity.REFUSED if fault.is_refused else Severity.WARNING
+    severity = Severity.REFUSED if fault.is_refused else Severity.NOTE if fault.is_note else Severity.WARNING
     return Finding(fault.code, severity, fault.sentence, fault.fix, fault.mendable, first, _indices(concerned))
 
 

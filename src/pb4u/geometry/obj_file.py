@@ -280,8 +280,9 @@ def write_obj(path: Path, mesh: PolygonMesh, groups: Sequence[str] = (), seams: 
             f"{name}f " + " ".join(str(v + 1) for v in polygon.tolist()) + "\n"
             for name, polygon in zip(names, mesh.polygons, strict=True)
         ]
-    if seams is not None:
-        parts += ["g seams\n", *(f"l {a} {b}\n" for a, b in (seams + 1).tolist())]
+    for lines, heading in ((mesh.lines, []), (seams, ["g seams\n"])):
+        if lines is not None:
+            parts += [*heading, *(f"l {a} {b}\n" for a, b in (lines + 1).tolist())]
     with on_disk(f"{path} cannot be written"):
         if looks is not None:
             write_mtl(mtl, looks.listed)

@@ -29,7 +29,7 @@ _TO_Y_UP = {"Z": np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0]), "-Y": np.arr
 _PLAIN = 0.7
 # Places of the pelvis in bodies at rest [m]: not taken in, of SMPL and of SMPL-X.
 _PELVES = np.array([[0.0, 0.0, 0.0], [0.0, -0.22, 0.03], [0.0, -0.35, 0.01]])
-# A floor fits better by so much [m], and not at all beyond so much. A root that begins so near [m] was put to the origin.
+# A floor fits better by so much [m], and not at all beyond so much. A root that begins so near [m] was put there.
 _BETTER, _NO_FLOOR, _AT_ORIGIN = 0.05, 0.5, 0.02
 _ARMS = tuple(
     f"{side}_{part}"
@@ -82,8 +82,14 @@ def read_amass(path: Path) -> Recording:
     if missing and "faces" in names and {"positions", "vertices"} & names:
         raise InputError(f"{path} is a body that moves, not a recording; give it as --body {path}.")
     rate_key = next((key for key in _RATE_KEYS if key in names), None)
+    if {"pose_world", "trans_world", "imgname"} <= names:
+        raise InputError(
+            f"{path} labels images of BEDLAM: each row of its pose_world and trans_world is one person in one image; "
+            "give a file of BEDLAM's motions, which has poses and trans, or save the rows of one person as these."
+        )
     if missing:
-        raise InputError(f"{path} has no {' and no '.join(missing)}; it holds {names_text(names)}.")
+        held = names_text(names, ("pose", "trans", "orient"))
+        raise InputError(f"{path} has no {' and no '.join(missing)}; it holds {held}.")
     file = read_arrays(path, ("poses", "trans", *([] if rate_key is None else [rate_key])))
     poses, translations = file["poses"], file["trans"]
     rate = np.array(np.nan) if rate_key is None else file[rate_key]
