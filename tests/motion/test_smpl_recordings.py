@@ -12,7 +12,7 @@ from pb4u.body.skeleton import joint_positions
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import angle_between, from_axis_angle, rotate
 from pb4u.motion.library import load_motion, read_recording
-from pb4u.motion.smpl_recording import nominal_skeleton, smpl_recording
+from pb4u.motion.smpl_recording import nominal_skeleton, read_amass, smpl_recording
 
 FAMILY = {72: "smpl", 156: "smplh", 165: "smplx"}
 
