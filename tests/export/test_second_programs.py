@@ -1,6 +1,6 @@
 """Every format that is written, read by a library that is not ours; a format without such a reader fails here.
 
-What validators say of USD and GLB is in their own tests; no library on PyPI reads PC2 and MDD, and Blender does it there.
+What validators say of USD and GLB is in their own tests; PC2 and MDD have no library on PyPI but Blender.
 """
 
 from __future__ import annotations
