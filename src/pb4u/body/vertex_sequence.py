@@ -266,5 +266,8 @@ def warn_of_oddities(path: Path | str, sequence: VertexSequence) -> None:
         warn(message)
     _, height, depth = np.ptp(sequence.rest_vertices, axis=0)
     if depth > 2.0 * height:
-        message = f"{path}: the body is {depth:.2f} m along Z and {height:.2f} m along Y: Z seems to be up, not Y."
+        message = (
+            f"{path}: the body is {depth:.2f} m along Z and {height:.2f} m along Y: Z seems to be up, not Y; export it "
+            "with Y up."
+        )
         warn(message)

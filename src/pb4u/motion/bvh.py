@@ -47,6 +47,8 @@ def read_bvh(path: Path) -> Recording:
             joints are not of a known skeleton, or make no person in its frames.
     """
     text = path.read_text(encoding="utf-8-sig", errors="replace")
+    if "." not in text:  # written where numbers have a decimal comma
+        text = text.replace(",", ".")
     head, motion, tail = text.partition("MOTION")
     if not motion or not head.lstrip().upper().startswith("HIERARCHY"):
         missing = "MOTION section; it is cut short" if "HIERARCHY" in head else "HIERARCHY; it is not a BVH recording"
@@ -128,7 +130,7 @@ def _hierarchy(text: str) -> list[_Joint]:
             if parents[-1] != _END:
                 joints[-1] = replace(joints[-1], offset=offset)
         elif keyword == "CHANNELS":
-            channels = tuple(next(words, "") for _ in range(int(next(words, ""))))
+            channels = tuple(next(words, "").capitalize() for _ in range(int(next(words, ""))))
             if joints[-1].channels or not set(channels) <= _CHANNELS:
                 raise ValueError(f'joint "{joints[-1].name}" has its CHANNELS twice, or unknown ones: {channels}')
             joints[-1] = replace(joints[-1], channels=channels, first_channel=count)
@@ -172,7 +174,9 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
             f"{path} is cut short: it should have {frames} frames of {channels} numbers, and ends in frame "
             f"{count // channels + 1}."
         )
-    if count > frames * channels:
+    if count % channels:
         raise InputError(f"{path} has {count} numbers, not the {frames} frames of {channels} that its header tells.")
+    if count > frames * channels:  # Rokoko's count is one short
+        frames = count // channels
     require_rate(1.0 / frame_time, path)
     return finite_frames(values.reshape(frames, channels), path), unrounded_rate(1.0 / frame_time)

@@ -53,12 +53,15 @@ _PARENTS = {
 
 
 _RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "fps")
-_POSE_KEYS = ("poses", "pose", "body_pose")
-_TRANSLATION_KEYS = ("trans", "translation", "transl")
+_WHOLE_POSE_KEYS = ("poses", "pose", "smpl_poses")
+_POSE_KEYS = (*_WHOLE_POSE_KEYS, "body_pose")
+_TRANSLATION_KEYS = ("trans", "translation", "transl", "smpl_trans")
 # What SMPL-X has after its body, in its order -> numbers a frame.
 _SMPLX_PARTS = {"jaw_pose": 3, "leye_pose": 3, "reye_pose": 3, "left_hand_pose": 45, "right_hand_pose": 45}
 # The files do not tell their rate; it is that of the released VTO sequences.
 _VTO_RATE = 30.0
+# That of AIST++ (Li et al. 2021), whose places are in a unit of `smpl_scaling` to the metre.
+_AIST_RATE = 60.0
 # A recorded shape is reported where a beta exceeds this, else it counts as average; so many betas are reported.
 _SLIGHT_BETA, _BETAS_TOLD = 0.05, 4
 
@@ -70,7 +73,7 @@ def read_amass(path: Path) -> Recording:
 
     Args:
         path: an .npz with `poses` (frames, 72, 156 or 165), `trans` (frames, 3) and a frame rate; the rate is NaN where
-            it has none.
+            it has none. Under other usual names of these Y is up, unless the frames tell.
 
     Raises:
         InputError: a key is missing, a shape is wrong, or it is no .npz of plain arrays.
@@ -78,7 +81,11 @@ def read_amass(path: Path) -> Recording:
     names = set(member_names(path))
     if {"global_orient", "body_pose"} <= names:
         return _joint_by_joint(path, names)
-    missing = [key for key in ("poses", "trans") if key not in names]
+    pose_key, translation_key = (
+        next((key for key in (first, *keys) if key in names), first)
+        for first, keys in (("poses", _WHOLE_POSE_KEYS), ("trans", _TRANSLATION_KEYS))
+    )
+    missing = [key for key in (pose_key, translation_key) if key not in names]
     if missing and "faces" in names and {"positions", "vertices"} & names:
         raise InputError(f"{path} is a body that moves, not a recording; give it as --body {path}.")
     rate_key = next((key for key in _RATE_KEYS if key in names), None)
@@ -90,13 +97,17 @@ def read_amass(path: Path) -> Recording:
     if missing:
         held = names_text(names, ("pose", "trans", "orient"))
         raise InputError(f"{path} has no {' and no '.join(missing)}; it holds {held}.")
-    file = read_arrays(path, ("poses", "trans", *([] if rate_key is None else [rate_key])))
-    poses, translations = file["poses"], file["trans"]
+    file = read_arrays(path, (pose_key, translation_key, *([] if rate_key is None else [rate_key])))
+    poses, translations = file[pose_key], file[translation_key]
     rate = np.array(np.nan) if rate_key is None else file[rate_key]
     betas, gender = (_optional(path, key) for key in ("betas", "gender"))
     if rate.size != 1 or not all(a.dtype.kind in "iuf" for a in (poses, translations, rate)):
-        raise InputError(f"{path}: poses, trans and {rate_key} should be numbers, the last a single one.")
-    recording = smpl_recording(path, poses, translations, float(rate.reshape(-1)[0]), z_up=True, told_by="its keys")
+        wanted = f"{pose_key}, {translation_key} and {rate_key}"
+        raise InputError(f"{path}: {wanted} should be numbers, the last a single one.")
+    of_amass = (pose_key, translation_key) == ("poses", "trans")
+    recording = smpl_recording(
+        path, poses, translations, float(rate.reshape(-1)[0]), of_amass, "its keys" if of_amass else "nothing"
+    )
     return replace(recording, notes=(*recording.notes, *shape_note(path, betas, gender)))
 
 
@@ -144,12 +155,12 @@ def shape_note(path: Path, betas: np.ndarray | None, gender: np.ndarray | None =
 
 
 def vto_recording(path: Path, content: Any) -> Recording:
-    """A sequence of the VTO dataset or of HOOD, at 30 fps with Y up.
+    """A sequence of the VTO dataset or of HOOD, at 30 fps, or of AIST++, at 60 fps; Y up.
 
     Args:
         path: the file, for messages.
         content: what it holds: `poses` (frames, 72), or `body_pose` (frames, 69) and `global_orient` (frames, 3) as
-            HOOD writes them, and `trans` (frames, 3).
+            HOOD writes them, and `trans` (frames, 3); or `smpl_poses`, `smpl_trans` and `smpl_scaling`.
 
     Raises:
         InputError: a key is missing or a shape is wrong.
@@ -160,14 +171,19 @@ def vto_recording(path: Path, content: Any) -> Recording:
     translation_key = next((key for key in _TRANSLATION_KEYS if key in content), None)
     if pose_key is None or translation_key is None:
         wanted = "poses" if pose_key is None else "trans"
-        raise InputError(f"{path} has no {wanted}; it holds {names_text(content)}.")
+        raise InputError(f"{path} has no {wanted}; it holds {names_text(content, ('pose', 'trans', 'orient'))}.")
     poses, translations = (stored_numbers(content[key], path, key) for key in (pose_key, translation_key))
     if poses.ndim == 2 and poses.shape[1] == 69 and "global_orient" in content:
         root = stored_numbers(content["global_orient"], path, "global_orient")
         if root.shape != (len(poses), 3):
             raise InputError(f"{path}: global_orient has the shape {root.shape}, not ({len(poses)}, 3).")
         poses = np.concatenate([root, poses], axis=1)
-    return smpl_recording(path, poses, translations, _VTO_RATE, told_by="its keys")
+    if "smpl_scaling" not in content:
+        return smpl_recording(path, poses, translations, _VTO_RATE, told_by="its keys")
+    scaling = stored_numbers(content["smpl_scaling"], path, "smpl_scaling")
+    if scaling.size != 1 or not float(scaling.reshape(-1)[0]) > 0.0:
+        raise InputError(f"{path}: smpl_scaling should be a single number above 0.")
+    return smpl_recording(path, poses, translations / float(scaling.reshape(-1)[0]), _AIST_RATE, told_by="its keys")
 
 
 def smpl_recording(

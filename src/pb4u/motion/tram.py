@@ -18,6 +18,10 @@ from pb4u.motion.recording import Recording
 from pb4u.motion.repair import without_gaps
 from pb4u.motion.smpl_recording import shape_note, smpl_recording
 
+_WANTED = (
+    "Give the hps_track_0.npy of TRAM; places of joints without rotations, as of HumanML3D and MDM, are not read: "
+    "export BVH."
+)
 # The files do not tell the rate of their video.
 _RATE = 30.0
 # The pelvis of the average SMPL body at rest [m], about which its root turns; the file of the body is not needed.
@@ -77,11 +81,14 @@ def read_tram(path: Path) -> Recording:
 
 
 def _dictionary(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
-    content = load_object_array(path)
+    try:
+        content = load_object_array(path)
+    except InputError as error:
+        raise InputError(f"{error} {_WANTED}") from None
     if not isinstance(content, Mapping):
         raise InputError(f"{path} holds a {type(content).__name__}, not the dictionary that TRAM writes.")
     if missing := [key for key in keys if key not in content]:
-        raise InputError(f"{path} has no {missing[0]}; it holds {names_text(content)}.")
+        raise InputError(f"{path} has no {missing[0]}; it holds {names_text(content)}. {_WANTED}")
     return {key: stored_numbers(content[key], path, key) for key in (*keys, "pred_shape") if key in content}
 
 

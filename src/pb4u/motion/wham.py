@@ -52,7 +52,10 @@ def wham_recording(path: Path, content: Mapping[Any, Any], person: str | None) -
         person = next(iter(people))
     held = people[person]
     if "pose_world" not in held or "trans_world" not in held:
-        raise InputError(f"{path}: person {person} has no pose_world and trans_world, but {names_text(held)}.")
+        raise InputError(
+            f"{path}: person {person} has no pose_world and trans_world, but {names_text(held)}; motion before a "
+            "camera alone, as of VIBE and PHALP, is not read: give what WHAM, TRAM or GVHMR writes."
+        )
     poses, translations = (stored_numbers(held[key], path, key) for key in ("pose_world", "trans_world"))
     recording = smpl_recording(path, poses, translations, _RATE, told_by="its program")
     recording = replace(recording, name=path.stem if len(people) == 1 else f"{path.stem}_{person}", from_video=True)
