@@ -121,4 +121,4 @@ def refusing(path: Path, sentence: str) -> Iterator[None]:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
     except Exception as error:
         kind = "" if type(error) in (ValueError, UnicodeDecodeError) else f"{type(error).__name__}: "
-        raise InputError(f"{path} {sentence} ({kind}{error_text(error)}).") from error
+        raise InputError(f"{path} {sentence} ({kind}{error_text(error)}); save or fetch it again.") from error

@@ -51,8 +51,10 @@ def read_bvh(path: Path) -> Recording:
         text = text.replace(",", ".")
     head, motion, tail = text.partition("MOTION")
     if not motion or not head.lstrip().upper().startswith("HIERARCHY"):
-        missing = "MOTION section; it is cut short" if "HIERARCHY" in head else "HIERARCHY; it is not a BVH recording"
-        raise InputError(f"{path} has no {missing}.")
+        missing = (
+            "MOTION section, as it is cut short" if "HIERARCHY" in head else "HIERARCHY, as it is not a BVH recording"
+        )
+        raise InputError(f"{path} has no {missing}; export it again as BVH.")
     with refusing(path, "is cut short in its HIERARCHY, or damaged"):
         joints = _hierarchy(head)
     source = _source(path, joints)
@@ -165,7 +167,7 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
         frames, frame_time = int(words[1]), float(words[4])
         values = np.array([float(word) for word in (following + text[_HEADING:]).split()])
     if frames < 1:
-        raise InputError(f"{path} holds no frames.")
+        raise InputError(f"{path} holds no frames; export it again.")
     if not 0.0 < frame_time < np.inf:
         raise InputError(f"{path}: the frame time is {frame_time:g} s; it should be positive, such as 0.00833333.")
     count = len(values)
@@ -175,7 +177,8 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
             f"{count // channels + 1}."
         )
     if count % channels:
-        raise InputError(f"{path} has {count} numbers, not the {frames} frames of {channels} that its header tells.")
+        told = f"not the {frames} frames of {channels} that its header tells"
+        raise InputError(f"{path} has {count} numbers, {told}; export it again.")
     if count > frames * channels:  # Rokoko's count is one short
         frames = count // channels
     require_rate(1.0 / frame_time, path)

@@ -96,7 +96,8 @@ def read_amass(path: Path) -> Recording:
         )
     if missing:
         held = names_text(names, ("pose", "trans", "orient"))
-        raise InputError(f"{path} has no {' and no '.join(missing)}; it holds {held}.")
+        way = "give a motion that lies beside it" if held == "betas, gender" else "save a motion under these names"
+        raise InputError(f"{path} has no {' and no '.join(missing)}; it holds {held}: {way}.")
     file = read_arrays(path, (pose_key, translation_key, *([] if rate_key is None else [rate_key])))
     poses, translations = file[pose_key], file[translation_key]
     rate = np.array(np.nan) if rate_key is None else file[rate_key]
@@ -166,12 +167,15 @@ def vto_recording(path: Path, content: Any) -> Recording:
         InputError: a key is missing or a shape is wrong.
     """
     if not isinstance(content, Mapping):
-        raise InputError(f"{path} holds a {type(content).__name__}, not the dictionary of a sequence.")
+        raise InputError(
+            f"{path} holds a {type(content).__name__}, not the dictionary of a sequence; give the recording itself."
+        )
     pose_key = next((key for key in _POSE_KEYS if key in content), None)
     translation_key = next((key for key in _TRANSLATION_KEYS if key in content), None)
     if pose_key is None or translation_key is None:
         wanted = "poses" if pose_key is None else "trans"
-        raise InputError(f"{path} has no {wanted}; it holds {names_text(content, ('pose', 'trans', 'orient'))}.")
+        held = names_text(content, ("pose", "trans", "orient"))
+        raise InputError(f"{path} has no {wanted}; it holds {held}: save a motion under this name.")
     poses, translations = (stored_numbers(content[key], path, key) for key in (pose_key, translation_key))
     if poses.ndim == 2 and poses.shape[1] == 69 and "global_orient" in content:
         root = stored_numbers(content["global_orient"], path, "global_orient")
@@ -212,9 +216,11 @@ def smpl_recording(
         widths = ", ".join(f"{width} ({family})" for width, family in sorted(_FAMILY_OF_WIDTH.items()))
         raise InputError(f"{path}: poses have the shape {poses.shape}; each frame should hold {widths} numbers.")
     if translations.shape != (len(poses), 3):
-        raise InputError(f"{path}: translations have the shape {translations.shape}, not ({len(poses)}, 3).")
+        raise InputError(
+            f"{path}: translations have the shape {translations.shape}, not ({len(poses)}, 3); save them anew."
+        )
     if not len(poses):
-        raise InputError(f"{path} holds no frames.")
+        raise InputError(f"{path} holds no frames; export it again.")
     if not np.isnan(fps):
         require_rate(fps, path)
     skeleton = nominal_skeleton(_FAMILY_OF_WIDTH[poses.shape[1]])
@@ -287,7 +293,7 @@ def full_poses(path: Path, parameters: Mapping[str, np.ndarray]) -> tuple[np.nda
     body = parameters["body_pose"]
     frames = len(body) if body.ndim else 0
     if not frames:
-        raise InputError(f"{path} holds no frames.")
+        raise InputError(f"{path} holds no frames; export it again.")
     body = body.reshape(frames, -1)
     widths = {"global_orient": 3, "body_pose": body.shape[1], **_SMPLX_PARTS}
     if body.shape[1] not in (63, 69):

@@ -46,7 +46,7 @@ def wham_recording(path: Path, content: Mapping[Any, Any], person: str | None) -
     if person not in people:
         told = ", ".join(f"{name} ({_length(held)} frames)" for name, held in list(people.items())[:10])
         if person is not None:
-            raise InputError(f"{path} has no person {person[:40]}; it has {told}.")
+            raise InputError(f"{path} has no person {person[:40]}; it has {told}; choose one of these.")
         if len(people) > 1:
             raise InputError(f"{path} holds {len(people)} people, {told}; choose one as {path}:{next(iter(people))}.")
         person = next(iter(people))
