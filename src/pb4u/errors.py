@@ -22,6 +22,12 @@ _ALIASES = {
 
 _ELSEWHERE = {
     ("fbx",): "FBX is not read; import it in Blender and export glTF of a body, OBJ of a garment, BVH of a motion.",
+    ("blend", "ma", "mb", "max", "c4d", "hip", "dae", "3mf", "usd", "usda", "usdc", "usdz", "abc"): "Export glTF of a "
+    "body (OBJ with MDD where it has no bones), OBJ of a garment or BVH of a motion from the program it comes from.",
+    ("zprj", "zpac", "zcmt"): "Projects of CLO are not read; export OBJ there, thin and in metres.",
+    ("dxf", "val", "vit", "sm2d"): "Patterns of this kind are not read; draw or export them as an SVG, beside a .toml.",
+    ("c3d", "trc", "mvnx", "mvn", "csv"): "Places of markers and sensors are not read; solve them to a skeleton, and "
+    "export BVH.",
     ("mp4", "mov", "avi", "mkv", "webm", "png", "jpg", "jpeg"): "Pictures and videos are not read; give the poses that "
     "GVHMR, WHAM or TRAM find in a video, or the body that SAM 3D Body finds in pictures.",
 }

@@ -370,3 +370,18 @@ def test_a_cache_of_another_kind_beside_a_mesh_is_told(tmp_path):
         (tmp_path / name).write_bytes(b"x")
     with pytest.warns(InputWarning, match=r"scan\.obj: scan\.pc16 beside it is not read, so the mesh stands still"):
         assert load_vertex_sequence(tmp_path / "scan.obj").frame_count == 1
+
+
+def test_a_cache_of_several_samples_a_frame_and_times_in_frames_are_told(
+    tmp_path: Path, box: tuple[np.ndarray, np.ndarray]
+) -> None:
+    positions, faces = box
+    for name in ("max", "houdini"):
+        write_obj(tmp_path / f"{name}.obj", positions[0], faces.tolist())
+    header = struct.pack("<12siiffi", b"POINTCACHE2\0", 1, positions.shape[1], 0.0, 0.5, len(positions))
+    (tmp_path / "max.pc2").write_bytes(header + positions.astype("<f4").tobytes())
+    with pytest.warns(InputWarning, match=r"max\.pc2: its sample rate is 0\.5, .* one sample a frame"):
+        load_vertex_sequence(tmp_path / "max.pc2")
+    write_mdd(tmp_path / "houdini.mdd", positions, 1.0)
+    with pytest.warns(InputWarning, match=r"houdini\.mdd: its samples are a second apart"):
+        assert load_vertex_sequence(tmp_path / "houdini.mdd").stored_fps == 30.0

@@ -52,9 +52,7 @@ def test_what_nothing_holds_up_is_a_hint_and_no_damage(woman):
     assert hint.severity is Severity.NOTE
     assert not hint.mendable
     assert not diagnosis.is_refused
-    assert hint.sentence == (
-        "Nothing holds the garment up: none of it lies on the shoulders; it would slide down to the ground."
-    )
+    assert hint.sentence == ("Nothing holds the garment up: none of it lies on the shoulders; it would slide down.")
     assert "`--pins waist`" in hint.fix
     with pytest.warns(InputWarning, match=r"^tube: .*`--pins waist`"):
         require_worn(garment, woman, FILE, found_support(garment, woman))

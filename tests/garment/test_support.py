@@ -14,7 +14,7 @@ from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import read_source
 from pb4u.garment.library import build_garment
 from pb4u.garment.material import MATERIALS
-from pb4u.garment.support import LEAST_AREA, find_support, slide
+from pb4u.garment.support import LEAST_AREA, find_support
 from pb4u.garment.tacks import tacked
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology
@@ -173,15 +173,6 @@ def test_straps_that_end_unsewn_hold_nothing_and_are_sewn_where_they_end_near(wo
         load_garment(WornGarment(file), woman)
     with pytest.warns(InputWarning, match=r"straps, .* vertices"):
         load_garment(WornGarment(file, tacks=found.tacks), woman)
-
-
-def test_how_far_it_slides_is_told_by_where_the_body_is_wider(woman):
-    rest = RestBody.of(woman)
-    skirt = build_garment("skirt", woman, 1000)
-    down = slide(skirt.vertices, skirt.faces, rest)
-    assert 0.02 <= down < 0.2, "from the waist to the hips"
-    wide = skirt.vertices * [1.6, 1.0, 1.6]
-    assert slide(wide, skirt.faces, rest) is None
 
 
 @pytest.mark.slow

@@ -8,18 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cloth_shapes import CLOTH, quad_tube, saved, triangle_tube
+from scipy.spatial import cKDTree
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, InputNote, InputWarning
 from pb4u.garment.diagnosis import Finding, diagnose
+from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import read_garment
 from pb4u.garment.library import build_garment
 from pb4u.garment.repair import repair
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.garment.surface_parts import gap_between, inner_layer
 from pb4u.geometry.mesh_file import PolygonMesh
-from pb4u.geometry.obj_file import read_obj
+from pb4u.geometry.obj_file import read_obj, write_obj
+from pb4u.geometry.triangle_mesh import laid_flat
 
 
 @pytest.fixture(scope="module")
@@ -148,6 +151,58 @@ def test_pieces_that_nothing_joins_are_not_to_be_pinned_at_the_waist(woman: Shap
     assert found.fix == "join its pieces first"
 
 
+@pytest.fixture
+def panels(woman: ShapedBody) -> tuple[PolygonMesh, Garment]:
+    """A T-shirt cut along its sides, front and back 6 cm apart and joined by threads; and the T-shirt."""
+    shirt = build_garment("tshirt", woman, 1200)
+    front = shirt.vertices[shirt.faces][:, :, 2].mean(axis=1) > 0.0
+    count, apart = len(shirt.vertices), np.array([0.0, 0.0, 0.03])
+    both = np.intersect1d(shirt.faces[front], shirt.faces[~front])
+    mesh = PolygonMesh(
+        np.concatenate([shirt.vertices + apart, shirt.vertices - apart]),
+        (*shirt.faces[front], *(shirt.faces[~front] + count)),
+        lines=np.column_stack([both, both + count]),
+    )
+    return mesh, shirt
+
+
+def test_threads_sew_the_seams_of_panels(
+    tmp_path: Path, woman: ShapedBody, panels: tuple[PolygonMesh, Garment]
+) -> None:
+    mesh, shirt = panels
+    write_obj(tmp_path / "panels.obj", repair(mesh, woman).mesh)
+    with pytest.warns(InputNote, match="lines of its file are threads of seams, up to 6 cm long; they are sewn"):
+        garment = read_garment(tmp_path / "panels.obj", CLOTH)
+    assert len(garment.vertices) == len(shirt.vertices)
+    assert len(garment.topology.boundary_loops) == 4
+    assert cKDTree(shirt.vertices).query(garment.vertices)[0].max() < 1e-6
+    found = diagnose(mesh, woman)
+    assert not found.is_refused
+    assert found.held_by == "shoulders"
+    assert "threads" in found.codes
+    assert not {"pieces", "unsewn"} & set(found.codes)
+
+
+def test_sewn_triangles_keep_their_shapes_at_rest(tmp_path: Path, panels: tuple[PolygonMesh, Garment]) -> None:
+    mesh, _ = panels
+    assert mesh.lines is not None
+    right = mesh.lines[:, 0][mesh.vertices[mesh.lines[:, 0], 0] > 0.0]
+    narrower = mesh.vertices.copy()
+    narrower[right, 0] += 0.02
+    write_obj(tmp_path / "panels.obj", replace(mesh, vertices=narrower))
+    garment = read_garment(tmp_path / "panels.obj", CLOTH)
+    own = laid_flat(narrower[np.stack(mesh.polygons)])
+    np.testing.assert_allclose(garment.rest_shape, own, atol=1e-7)
+    assert np.abs(laid_flat(garment.vertices[garment.faces]) - own).max() > 0.001
+
+
+def test_threads_of_panels_far_apart_are_not_sewn(panels: tuple[PolygonMesh, Garment]) -> None:
+    mesh, shirt = panels
+    far = np.where(np.arange(len(mesh.vertices))[:, None] < len(shirt.vertices), 0.03, -0.03) * np.array([0, 0, 1.0])
+    found = finding(replace(mesh, vertices=mesh.vertices + far), "unsewn")
+    assert "longer than 10 cm" in found.fix
+
+
 def test_threads_that_are_not_sewn_are_told(tmp_path: Path) -> None:
     path = saved(tmp_path, triangle_tube())
     path.write_text(path.read_text() + "l 1 2\nl 3/1 200/1 400\nl -1 5\nl x y\nl 7\n")
@@ -157,7 +212,7 @@ def test_threads_that_are_not_sewn_are_told(tmp_path: Path) -> None:
     # The first is an edge of the cloth, such as a seam that was drawn.
     found = finding(mesh, "unsewn")
     assert "3 lines of its file join vertices as threads of a seam, first 2-199, 199-399, 839-4" in found.sentence
-    with pytest.warns(InputWarning, match="3 lines of its file join vertices.*sew it where it was made"):
+    with pytest.warns(InputWarning, match="3 lines of its file join vertices.*they are not sewn"):
         read_garment(path, CLOTH)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from warnings import catch_warnings, simplefilter
 
@@ -96,6 +96,7 @@ def write_rested(
     frames: int = 30,
     offsets: Mapping[str, np.ndarray] = OFFSETS,
     parents: Mapping[str, str] = PARENTS,
+    places: Callable[[int], Sequence[float]] = lambda frame: (0.0, 100.0, 2.0 * frame),
 ) -> Path:
     """A .bvh of a motion.
 
@@ -106,7 +107,8 @@ def write_rested(
         named: what a joint is called.
         frames: number of frames.
         offsets: of the joints in a T-pose.
-        parents: joint -> the one that it hangs on, "" for the root.
+        parents: joint -> the one that it hangs on, "" for the root, which comes first.
+        places: where the root is in a frame.
     """
     axes = {name: own.get(name, Rotation.identity()) for name in parents}
     order: list[str] = []
@@ -126,11 +128,11 @@ def write_rested(
             lines += [f"{pad}\tEnd Site", pad + "\t{", f"{pad}\t\tOFFSET 0 0 5", pad + "\t}"]
         return [*lines, pad + "}"]
 
-    text = ["HIERARCHY", *block("Hips", 0), "MOTION", f"Frames: {frames}", "Frame Time: 0.0333333"]
+    text = ["HIERARCHY", *block(next(iter(parents)), 0), "MOTION", f"Frames: {frames}", "Frame Time: 0.0333333"]
     for frame in range(frames):
         local = motion(frame / 30.0)
         world: dict[str, Rotation] = {}
-        row = [0.0, 100.0, 2.0 * frame]
+        row = list(places(frame))
         for name in order:
             parent = parents[name]
             turn = local.get(name, Rotation.identity())

@@ -153,9 +153,24 @@ def test_frame_time_that_is_not_positive_is_refused(bvh, frame_time):
         load_motion(bvh(frame_time=frame_time))
 
 
-def test_more_numbers_than_frames_are_refused(bvh):
-    with pytest.raises(InputError, match="not the 3 frames"):
-        load_motion(bvh(frames=4, count=3))
+def test_more_frames_than_are_told_are_read(bvh):
+    # Rokoko's header counts one frame less than there are.
+    assert len(read_bvh(bvh(frames=4, count=3)).poses) == 4
+
+
+def test_a_part_of_a_frame_too_much_is_refused(bvh):
+    path = bvh(frames=4)
+    path.write_text(path.read_text().rstrip() + "\n1.0 2.0\n")
+    with pytest.raises(InputError, match="not the 4 frames"):
+        read_bvh(path)
+
+
+def test_decimal_commas_and_small_letters_of_channels_are_read(bvh):
+    path = bvh()
+    wanted = read_bvh(path).poses
+    path.write_text(path.read_text().replace(".", ",").replace("rotation", "ROTATION").replace("Xpos", "xPos"))
+    np.testing.assert_allclose(read_bvh(path).poses.root_positions, wanted.root_positions)
+    np.testing.assert_allclose(read_bvh(path).poses.rotations, wanted.rotations)
 
 
 @pytest.mark.parametrize("value", ["nan", "inf"])

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import joblib
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from tests.motion.rest_poses import write_rested
 from tests.motion.video_files import rotation_vectors, wham_people, write_gvhmr, write_tram
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence, joint_positions, world_rotations
 from pb4u.geometry.rotation import about_axis, from_axis_angle, multiply, rotate
+from pb4u.motion.bvh import read_bvh
 from pb4u.motion.library import load_motion, read_recording
 
 Y_TO_Z = about_axis("x", np.pi / 2)
@@ -115,12 +119,21 @@ KINDS = {
 }  # fmt: skip
 
 
+ROOTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "over the floor": lambda places: places,
+    "at the origin": np.zeros_like,
+    "from the origin": lambda places: places - places[0],
+}
+
+
+@pytest.mark.parametrize("root", list(ROOTS))
 @pytest.mark.parametrize("activity", list(ACTIVITIES))
 @pytest.mark.parametrize(("family", "write"), [(f, w) for f, kinds in KINDS.items() for w in kinds])
-def test_nobody_is_stood_up_or_laid_down(tmp_path, smpl_body, activity, family, write):
+def test_nobody_is_stood_up_or_laid_down(tmp_path, smpl_body, activity, family, write, root):
     body = smpl_body(family)
     for heading in HEADINGS:
         poses = performed(body, activity, heading)
+        poses = replace(poses, root_positions=ROOTS[root](poses.root_positions))
         folder = tmp_path / str(heading)
         folder.mkdir()
         recording = read_recording(write(folder, poses, body))
@@ -150,3 +163,35 @@ def test_who_stands_along_another_axis_over_a_floor_there_is_believed(tmp_path, 
         recording = read_recording(hood(tmp_path, z_up(poses), body))
     assert f"taken as {turned[0]} up" in recording.notes[0]
     np.testing.assert_allclose(rotate(recording.poses.rotations[:, 0], np.array([0.0, 1.0, 0.0]))[:, 1], 1.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("rest", ["standing", "bones along X"])
+@pytest.mark.parametrize("axis", ["Y", "Z"])
+@pytest.mark.parametrize("activity", list(ACTIVITIES))
+def test_a_bvh_is_upright_by_its_floor(tmp_path, smpl_body, activity, axis, rest):
+    # Away from the planes at 0 that are no floor: who happens to touch one may be taken to stand on it.
+    skeleton, turn = smpl_body("smpl").skeleton, Y_TO_Z if axis == "Z" else np.array([1.0, 0.0, 0.0, 0.0])
+    parents = {n: skeleton.names[p] if p >= 0 else "" for n, p in zip(skeleton.names, skeleton.parents, strict=True)}
+    offsets = {n: 100.0 * rotate(turn, skeleton.joints[b] - skeleton.joints[p]) for b, (n, p) in enumerate(
+        zip(skeleton.names, skeleton.parents, strict=True))}  # fmt: skip
+    ends = {parent: name for name, parent in reversed(parents.items())}
+    along = {name: offsets[ends.get(name, name)] for name in parents}
+    own = {name: Rotation.align_vectors([v / np.linalg.norm(v)], [[1.0, 0.0, 0.0]])[0] for name, v in along.items()}
+    for heading in HEADINGS:
+        poses = performed(smpl_body("smpl"), activity, heading)
+        vectors = rotate(turn, rotation_vectors(poses, smpl_body("smpl")))
+        roots = 100.0 * rotate(turn, poses.root_positions + np.array([2.5, 0.0, 1.7]))
+
+        def turned(time: float, vectors=vectors) -> dict[str, Rotation]:
+            frame = vectors[round(30.0 * time)]
+            return {name: Rotation.from_rotvec(v) for name, v in zip(parents, frame, strict=True)}
+
+        path = write_rested(
+            tmp_path / f"{heading}.bvh", own if rest != "standing" else {}, turned, frames=len(poses), offsets=offsets,
+            parents=parents, places=lambda frame, roots=roots: roots[frame],
+        )  # fmt: skip
+        found = read_bvh(path)
+        heights = 0.01 * joint_positions(found.skeleton, found.poses)[..., 1]
+        wanted = joint_positions(skeleton, poses)[..., 1]
+        order = [found.skeleton.index(name) for name in skeleton.names]
+        assert np.abs((heights - heights[:, :1])[:, order] - (wanted - wanted[:, :1])).max() < 0.15, heading

@@ -12,7 +12,7 @@ from pb4u.body.skeleton import joint_positions
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import angle_between, from_axis_angle, rotate
 from pb4u.motion.library import load_motion, read_recording
-from pb4u.motion.smpl_recording import nominal_skeleton, smpl_recording
+from pb4u.motion.smpl_recording import nominal_skeleton, read_amass, smpl_recording
 
 FAMILY = {72: "smpl", 156: "smplh", 165: "smplx"}
 
@@ -279,3 +279,59 @@ def test_numbers_that_nobody_recorded_are_refused(tmp_path, change, says):
     with pytest.raises(InputError) as refusal:
         load_motion(tmp_path / "odd.npz")
     assert says in str(refusal.value)
+
+
+def test_labels_of_bedlam_and_near_names_are_told(tmp_path):
+    labels = {key: np.zeros(1) for key in ("imgname", "pose_world", "trans_world", "pose_cam", "betas")}
+    np.savez(tmp_path / "labels.npz", **labels)
+    with pytest.raises(InputError, match="labels images of BEDLAM: each row of its pose_world and trans_world"):
+        read_amass(tmp_path / "labels.npz")
+    np.savez(tmp_path / "clip.npz", **{f"a{k}": np.zeros(1) for k in range(12)}, root_trans=np.zeros((2, 3)))
+    with pytest.raises(InputError, match="has no poses and no trans; it holds root_trans, a0"):
+        read_amass(tmp_path / "clip.npz")
+
+
+def test_aist_is_read_in_its_own_unit_and_rate(tmp_path):
+    poses, translations = swinging(20, 72)
+    held = {"smpl_poses": poses, "smpl_trans": 93.0 * translations, "smpl_scaling": np.array([93.0]), "smpl_loss": 0.1}
+    (tmp_path / "dance.pkl").write_bytes(pickle.dumps(held))
+    recording = read_recording(tmp_path / "dance.pkl")
+    assert recording.poses.fps == 60.0
+    np.testing.assert_allclose(recording.poses.root_positions, translations)
+    (tmp_path / "bad.pkl").write_bytes(pickle.dumps({**held, "smpl_scaling": np.zeros(1)}))
+    with pytest.raises(InputError, match=r"bad\.pkl: smpl_scaling should be a single number above 0"):
+        read_recording(tmp_path / "bad.pkl")
+
+
+@pytest.mark.parametrize(
+    ("pose", "translation"), [("pose", "transl"), ("poses", "transl"), ("smpl_poses", "smpl_trans")]
+)
+def test_other_usual_names_are_known(tmp_path, pose, translation):
+    poses, translations = swinging(20, 72)
+    np.savez(tmp_path / "clip.npz", **{pose: poses, translation: translations, "fps": 25.0})
+    recording = read_recording(tmp_path / "clip.npz")
+    assert recording.poses.fps == 25.0
+    up = rotate(recording.poses.rotations[:, 0], np.array([0.0, 1.0, 0.0]))
+    np.testing.assert_allclose(up[:, 1], 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "held", "sentence"),
+    [
+        ("joints.npy", np.zeros((20, 22, 3)), "and no dictionary. .*as of HumanML3D and MDM, are not read: export BVH"),
+        ("results.npy", {"motion": np.zeros(3)}, "has no pred_rotmat; it holds motion. .*export BVH"),
+        (
+            "vibe.pkl",
+            {1: {"pose": np.zeros((3, 72))}},
+            "before a camera alone, as of VIBE and PHALP, is not read: give",
+        ),
+    ],
+)
+def test_what_others_find_in_videos_is_refused_with_a_way_out(tmp_path, name, held, sentence):
+    path = tmp_path / name
+    if path.suffix == ".npy":
+        np.save(path, held)
+    else:
+        path.write_bytes(pickle.dumps(held))
+    with pytest.raises(InputError, match=sentence):
+        read_recording(path)

@@ -63,6 +63,17 @@ def test_paths_in_a_layer_keep_their_names(tmp_path: Path):
     assert [panel.name for panel in read_pattern(drawn(tmp_path, layered)).panels] == ["front", "back"]
 
 
+def test_a_drawing_of_illustrator_is_in_points(tmp_path: Path):
+    wanted = read_pattern(drawn(tmp_path)).panels[0].corners
+    root = DRAWN_PANELS[DRAWN_PANELS.index(b"<svg") : DRAWN_PANELS.index(b">", DRAWN_PANELS.index(b"<svg")) + 1]
+    # Its user unit is a point, in which 1 mm is 2.83465.
+    points = b'<svg version="1.1" x="0px" y="0px" xmlns="http://www.w3.org/2000/svg" '
+    points += b'xmlns:inkscape="http://www.inkscape.org/namespaces/inkscape"><g transform="scale(2.83465)">'
+    made = b"<!-- Generator: Adobe Illustrator 27.0.0, SVG Export Plug-In -->" + DRAWN_PANELS.replace(root, points)
+    found = read_pattern(drawn(tmp_path, made.replace(b"</svg>", b"</g></svg>"))).panels[0].corners
+    assert found == pytest.approx(wanted, abs=1e-4)
+
+
 @pytest.mark.parametrize(
     ("panels", "seams", "sentence"),
     [

@@ -32,8 +32,9 @@ from pb4u.io.gltf_file import GltfFile, read_gltf
 from pb4u.io.reading_limits import names_text, refusing
 
 # Words of meshes and materials that are no skin; a material called skin, body or face outweighs its mesh's name.
+_HEAD = r"hair|eye|brow|lash|iris|pupil|cornea|teeth|tooth|tongue|gum|beard|moustache|glasses|hat|helmet|cap"
 _NOT_SKIN = re.compile(
-    r"hair|eye|brow|lash|iris|pupil|cornea|teeth|tooth|tongue|gum|beard|moustache|glasses|hat|helmet|cap|cloth|shirt|"
+    rf"{_HEAD}|cloth|shirt|"
     r"tops|bottoms|pants|trousers|jeans|shorts|skirt|dress|jacket|coat|hoodie|sweater|suit|shoe|boot|sneaker|sock|"
     r"glove|outfit|garment|underwear|bra|onepiece|accessor|weapon|tear|belt|bag",
     re.IGNORECASE,
@@ -44,6 +45,8 @@ _MOST_TRIANGLES = 1_000_000
 _RAYS = 32
 # Share of the skin out of contact, hands aside, that is told of: eyes, mouth and folds of sound ones have less.
 _MOST_OUT = 0.06
+# A hole wider than this share of the height is no neck or wrist where meshes meet.
+_WIDE = 0.15
 _OTHER_SIDE = re.compile("left|right")
 
 
@@ -120,7 +123,7 @@ def read_character(
 def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None, units: str | None) -> Character:
     path = file.path
     tree = node_tree(file)
-    chosen, left = _chosen(path, _parts(file), parts)
+    chosen, others = _chosen(path, _parts(file), parts)
     still = tree.globals(tree.poses)[0]
     nodes, inverses = read_skins(file, {part.skin for part in chosen})
     places = bind_spaces(tree, still, nodes, inverses)
@@ -128,10 +131,11 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None, 
     bones, matrices, bone_of = merged_bones(path, nodes, inverses, places)
     surface = _joined(chosen, places, nodes, bone_of)
     order, names, parents = ordered_bones(file, tree, bones)
+    left = others
     if parts is None:
         chosen, covers = _skin_alone(chosen, skin_vertices(surface, _limbs(names, parents)[np.argsort(order)]))
-        surface, left = _joined(chosen, places, nodes, bone_of), [*left, *covers]
-    left += [title for title in _unskinned(file) if title not in left]
+        surface, left = _joined(chosen, places, nodes, bone_of), [*others, *covers]
+    left = [*left, *(title for title in _unskinned(file) if title not in left)]
     rank = np.argsort(order)
     binds = np.stack(matrices)[order]
     ranked = np.array(bones)[order]
@@ -140,9 +144,17 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None, 
     taken = f"{path.name}: the body is {', '.join(dict.fromkeys(part.title for part in chosen))}"
     notes = [f"{taken}; left out of the body: {', '.join(left)}; --body-parts chooses." if left else f"{taken}.", *more]
     surface, welded = surface.moved(world).welded()
-    surface, closed = surface.turned_outward().closed()
-    if closed:
-        notes.append(f"{path.name}: {closed} closed, so that inside has a meaning.")
+    surface, holes = surface.turned_outward().closed()
+    if holes:
+        told = f"{len(holes)} hole(s) of the surface, the largest {100 * max(holes):.0f} cm across, are closed"
+        notes.append(f"{path.name}: {told}, so that inside has a meaning.")
+        worn = [title for title in others if not re.search(_HEAD, title, re.IGNORECASE)]
+        if worn and max(holes) > _WIDE * float(np.ptp(surface.vertices[:, 1])):
+            every = dict.fromkeys([*(part.title for part in chosen), *worn])
+            warn(
+                f"{path.name}: its skin has a hole of {100 * max(holes):.0f} cm, as where it is cut away under "
+                f"clothes, and other cloth falls in there; give what covers it as well: --body-parts {','.join(every)}."
+            )
     if not Topology(surface.faces, len(surface.vertices)).is_closed:
         notes.append(f"{path.name}: its surface is not closed even so; penetration is not reported.")
     binds = world @ binds

@@ -80,11 +80,11 @@ class CharacterSurface:
         faces = np.where((volume[piece] < 0.0)[:, None], self.faces[:, ::-1], self.faces)
         return CharacterSurface(self.vertices, np.ascontiguousarray(faces), self.bones, self.weights)
 
-    def closed(self) -> tuple[CharacterSurface, str]:
-        """The surface with a fan over each hole, and what was closed in words (may be empty)."""
+    def closed(self) -> tuple[CharacterSurface, list[float]]:
+        """The surface with a fan over each hole, and how far across each was [m]."""
         loops = _hole_cycles(self.faces)
         if not loops:
-            return self, ""
+            return self, []
         vertices, faces, bones, weights = [self.vertices], [self.faces], [self.bones], [self.weights]
         width = self.bones.shape[1]
         sizes = []
@@ -98,8 +98,7 @@ class CharacterSurface:
             kept = np.pad(mean[strongest], (0, width - len(strongest)))
             weights.append((kept / kept.sum())[None])
             sizes.append(float(np.linalg.norm(np.ptp(self.vertices[loop], axis=0))))
-        sentence = f"{len(loops)} hole(s) of the surface, the largest {100 * max(sizes):.0f} cm across, are"
-        return CharacterSurface(*(np.concatenate(each) for each in (vertices, faces, bones, weights))), sentence
+        return CharacterSurface(*(np.concatenate(each) for each in (vertices, faces, bones, weights))), sizes
 
 
 def _hole_cycles(faces: np.ndarray) -> list[np.ndarray]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from pb4u.body.vertex_sequence import DEFAULT_FPS, VertexSequence, refuse_large, require_usable, warn_of_oddities
-from pb4u.errors import InputError, on_disk, warn
+from pb4u.errors import InputError, InputNote, on_disk, warn
 from pb4u.geometry.mesh_file import read_mesh
 from pb4u.geometry.obj_file import read_obj_vertices
 from pb4u.geometry.ply_file import read_ply
@@ -234,8 +234,13 @@ def _read_pc2(path: Path) -> tuple[np.ndarray, float | None]:
         header = file.read(PC2_HEADER.size)
     if len(header) < PC2_HEADER.size or not header.startswith(PC2_MAGIC):
         raise InputError(f'{path}: not a PC2 point cache, it does not begin with "POINTCACHE2"; export it again.')
-    _, _, points, _, _, frames = PC2_HEADER.unpack(header)
-    # Its sample rate counts samples per frame of a scene whose frame rate the file does not hold.
+    _, _, points, _, rate, frames = PC2_HEADER.unpack(header)
+    # Programs differ in what the rate counts, and the file does not hold that of its scene.
+    if rate != 1.0:
+        warn(
+            f"{path}: its sample rate is {rate:g}, and its samples are played as frames; export it with one sample a "
+            "frame."
+        )
     return _map_points(path, PC2_HEADER.size, frames, points, "<f4"), None
 
 
@@ -248,6 +253,9 @@ def _read_mdd(path: Path) -> tuple[np.ndarray, float | None]:
     positions = _map_points(path, MDD_HEADER.size + 4 * max(frames, 0), frames, points, ">f4")
     times = np.memmap(path, dtype=">f4", mode="r", offset=MDD_HEADER.size, shape=(frames,))
     duration = float(times[-1] - times[0])
+    if duration == frames - 1 > 0:
+        warn(f"{path}: its samples are a second apart, so their times are taken for frames.", InputNote)
+        return positions, None
     return positions, unrounded_rate((frames - 1) / duration) if duration > 0 else None
 
 

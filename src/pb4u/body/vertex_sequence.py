@@ -217,7 +217,7 @@ def require_usable(
         InputError: it has no faces or too many, a face names no vertex, or a number is not finite or no length.
     """
     if not len(faces) or not len(vertices):
-        raise InputError(f"{path} has no faces, or no frames; a body needs a surface.")
+        raise InputError(f"{path} has no faces, or no frames; a body needs a surface: export it as polygons.")
     refuse_large(path, len(faces))
     if faces.min() < 0 or faces.max() >= vertices.shape[1]:
         raise InputError(f"{path}: a face names a vertex out of range, there are {vertices.shape[1]}.")
@@ -266,5 +266,8 @@ def warn_of_oddities(path: Path | str, sequence: VertexSequence) -> None:
         warn(message)
     _, height, depth = np.ptp(sequence.rest_vertices, axis=0)
     if depth > 2.0 * height:
-        message = f"{path}: the body is {depth:.2f} m along Z and {height:.2f} m along Y: Z seems to be up, not Y."
+        message = (
+            f"{path}: the body is {depth:.2f} m along Z and {height:.2f} m along Y: Z seems to be up, not Y; export it "
+            "with Y up."
+        )
         warn(message)

@@ -257,7 +257,7 @@ def _print(report: dict[str, Any], fix: Path | None, body: str) -> None:
         console.print(f"{motion['name']}: {length}", markup=False)
         if "lowest_point" in motion:
             console.print(
-                f"lowest point {1000 * motion['lowest_point']:.0f} mm above the ground, fastest point "
+                f"lowest point {round(1000 * motion['lowest_point']) + 0:d} mm above the ground, fastest point "
                 f"{motion['fastest_point']:.1f} m/s",
                 markup=False,
             )

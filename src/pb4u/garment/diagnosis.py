@@ -14,6 +14,7 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.body.built_in import BUILT_IN
 from pb4u.body.length_units import extent_of, garment_unit
 from pb4u.body.library import load_body
+from pb4u.collision.crossings import self_crossings
 from pb4u.errors import InputError, warn
 from pb4u.garment.body_pieces import body_faces
 from pb4u.garment.findings import (
@@ -37,6 +38,8 @@ from pb4u.garment.garment_file import fix_command
 from pb4u.garment.limbs_inside import limbs_outside
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.garment.support import Support, find_support
+from pb4u.garment.tangles import tangles
+from pb4u.garment.thread_seams import drawn_together, sewable_threads
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.triangle_mesh import edge_lengths
 
@@ -108,6 +111,9 @@ def diagnose(
         garment = PolygonMesh(garment.vertices, tuple(garment.faces))
     surface = SourceSurface.of(garment)
     findings = surface_findings(surface)
+    if len(threads := sewable_threads(surface)):
+        garment = drawn_together(surface, threads)
+        surface = SourceSurface.of(garment)
     vertices = garment.vertices[np.unique(surface.faces)]
     lengths = edge_lengths(garment.vertices, surface.topology.edges)
     measures: dict[str, float | None] = {
@@ -189,6 +195,12 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
     if placed and rest.is_closed:  # of one that is not, who loaded it was warned
         findings += penetration_findings(rest.signed_distances(garment.vertices), rest, mend)
         findings += turned_findings(garment.vertices, garment.faces, rest, mend)
+    if placed and garment.is_authors_mesh:
+        pairs = self_crossings(garment.vertices, garment.faces, sharing=True)
+        own = np.zeros(len(garment.vertices), dtype=np.int64)
+        for tangle in tangles(["The garment"], own, garment.vertices, garment.faces, pairs):
+            fix = "mend it where it was made; simulation untangles its start where cloth feels cloth"
+            findings.append(Finding("self-crossing", Severity.WARNING, f"{tangle}.", fix))
     if placed and support is not None:
         source = garment.source
         names = None if source is None else cKDTree(source.source.vertices).query(garment.vertices)[1]

@@ -16,7 +16,7 @@ from pb4u.garment.coarseness import Coarseness
 from pb4u.garment.fit import AXES, UPRIGHT, WHOLLY_INSIDE, WORST_MISFIT, Fit, RestBody, is_inside_out
 from pb4u.garment.garment_file import MOST_SIMULATED
 from pb4u.garment.source_surface import SourceSurface
-from pb4u.garment.support import Support, slide
+from pb4u.garment.support import Support
 from pb4u.garment.surface_faults import Fault, first_of, surface_faults
 from pb4u.garment.tangles import tangles
 from pb4u.garment.untangling import untangle
@@ -78,7 +78,7 @@ def _finding(surface: SourceSurface, fault: Fault) -> Finding:
     concerned = fault.vertices
     if fault.faces is not None and concerned is None:
         concerned = _corners(surface, fault.faces)
-    severity = Severity.REFUSED if fault.is_refused else Severity.WARNING
+    severity = Severity.REFUSED if fault.is_refused else Severity.NOTE if fault.is_note else Severity.WARNING
     return Finding(fault.code, severity, fault.sentence, fault.fix, fault.mendable, first, _indices(concerned))
 
 
@@ -237,9 +237,7 @@ def support_findings(
         fix = "sew them where they were made"
     if tacks:
         fix = "sew them with " + " ".join(f"`--tack {a}:{b}`" for a, b in tacks)
-    down = slide(vertices, faces, body)
-    where = "to the ground" if down is None else f"by {100 * down:.0f} cm, to where the body is wider than it"
-    sentence = f"Nothing holds the garment up: {why}; it would slide down {where}."
+    sentence = f"Nothing holds the garment up: {why}; it would slide down."
     ends = tuple(int(names[vertex]) for strap in straps for vertex in strap.end)
     severity = Severity.WARNING if straps else Severity.NOTE
     return [Finding("unsupported", severity, sentence, fix, where=ends[:20], vertices=ends, tacks=tacks)]

@@ -11,13 +11,14 @@ import numpy as np
 from pb4u.body.built_in import DEFAULT_BODY
 from pb4u.body.length_units import extent_of, garment_unit
 from pb4u.body.library import body_names
-from pb4u.errors import InputError, unread_kind, warn
+from pb4u.errors import InputError, InputNote, InputWarning, unread_kind, warn
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.source_map import map_to_same, remeshed
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.garment.surface_faults import Fault, surface_faults
+from pb4u.garment.thread_seams import with_sewn_threads
 from pb4u.geometry.mesh_file import MOST_READ, READERS, PolygonMesh, read_mesh
 
 MOST_SIMULATED = 1_000_000
@@ -72,11 +73,12 @@ def authors_garment(path: str | Path, material: Material, most_triangles: int = 
     uv_faces = None if source.polygon_uvs is None else np.concatenate(source.polygon_uvs)[corners]
     polygon, pieces = surface.polygon[surface.kept], source.piece_of_polygon
     looks = None if source.appearances is None else source.appearances.at(polygon)
-    return Garment(
+    garment = Garment(
         path.stem, vertices, faces, material, uvs=source.uvs, uv_faces=uv_faces, appearances=looks,
         source=map_to_same(source, simulated, vertices, faces), pieces=source.pieces,
         piece_of_face=None if pieces is None else pieces[polygon],
     )  # fmt: skip
+    return with_sewn_threads(garment, surface, simulated)
 
 
 def fix_command(
@@ -135,7 +137,10 @@ def _report_faults(path: Path, surface: SourceSurface) -> None:
     for fault in faults:
         if fault.is_refused:
             raise InputError(f"{path}: {fault.sentence[:-1]}; {_cure(fault, path)}.")
-    sentences = [f"{fault.sentence[:-1]}; {fault.meanwhile or _cure(fault, path)}." for fault in faults]
+    for fault in faults:
+        sentence = f"{path.name}: {fault.sentence[:-1]}; {fault.meanwhile or _cure(fault, path)}."
+        warn(sentence, InputNote if fault.is_note else InputWarning)
+    sentences = []
     if surface.many_sided:
         cut = "quads or n-gons are cut into triangles to simulate; `pb4u convert --on source` writes them whole"
         sentences.append(f"{surface.many_sided} {cut}.")

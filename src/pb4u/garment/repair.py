@@ -15,6 +15,7 @@ from pb4u.garment.fit import UPRIGHT, RestBody, find_fit, is_inside_out
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.garment.surface_faults import is_double
 from pb4u.garment.surface_parts import inner_layer, sewn_on
+from pb4u.garment.thread_seams import drawn_together, sewable_threads
 from pb4u.garment.untangling import untangle
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology, neighbour_mean
@@ -67,8 +68,10 @@ def repair(source: PolygonMesh, body: ShapedBody | AnimatedBody | None = None) -
 
 
 def _moved(source: PolygonMesh, body: RestBody, said: list[str], left: list[str]) -> PolygonMesh:
-    used = np.unique(np.concatenate(source.polygons))
-    fit = find_fit(source.vertices[used], body)
+    surface = SourceSurface.of(source)
+    threads = sewable_threads(surface)
+    worn = drawn_together(surface, threads) if len(threads) else source
+    fit = find_fit(worn.vertices[np.unique(surface.faces)], body)
     if fit.is_identity:
         return source
     if fit.is_unsure:
@@ -118,6 +121,7 @@ def _without(source: PolygonMesh, surface: SourceSurface, faces: np.ndarray) -> 
         source.uvs,
         None if source.polygon_uvs is None else tuple(source.polygon_uvs[k] for k in keep.tolist()),
         None if source.appearances is None else source.appearances.at(keep),
+        lines=_kept_lines(source, used),
     ), len(gone)
 
 
@@ -134,7 +138,8 @@ def _welded(source: PolygonMesh, said: list[str], left: list[str]) -> PolygonMes
         left.append("Seams were left open: welded, the garment would have no opening; is every face there twice?")
         return source
     said.append(f"Welded {len(surface.unwelded)} border vertices.")
-    return replace(source, polygons=tuple(target[p] for p in source.polygons))
+    lines = None if source.lines is None else target[source.lines]
+    return replace(source, polygons=tuple(target[p] for p in source.polygons), lines=lines)
 
 
 def _without_waste(source: PolygonMesh, said: list[str]) -> PolygonMesh:
@@ -162,7 +167,15 @@ def _without_waste(source: PolygonMesh, said: list[str]) -> PolygonMesh:
         source.uvs,
         None if uvs is None else tuple(uvs),
         None if source.appearances is None else source.appearances.at(keep),
+        lines=_kept_lines(source, used),
     )
+
+
+def _kept_lines(source: PolygonMesh, used: np.ndarray) -> np.ndarray | None:
+    """The lines (lines, 2) between vertices that are kept, `used` (kept,), by their new numbers."""
+    if source.lines is None:
+        return None
+    return np.searchsorted(used, source.lines[np.isin(source.lines, used).all(axis=1)])
 
 
 def _oriented(source: PolygonMesh, body: RestBody | None, said: list[str]) -> PolygonMesh:

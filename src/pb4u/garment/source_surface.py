@@ -144,12 +144,13 @@ class SourceSurface:
 
     @property
     def unsewn(self) -> np.ndarray:
-        """Ends (lines, 2) int64 of the lines of the file that are no edge of a face: threads of a seam to be sewn."""
+        """Ends (lines, 2) int64 of the lines of the file that join faces and are no edge of one: threads of a seam."""
         lines = self.source.lines
         if lines is None or not len(lines):
             return np.zeros((0, 2), dtype=np.int64)
         keys = np.sort(lines, axis=1) @ np.array([len(self.source.vertices), 1])
-        return lines[~np.isin(keys, self.topology.edge_keys) & (lines[:, 0] != lines[:, 1])]
+        joining = np.isin(lines, self.faces).all(axis=1) & (lines[:, 0] != lines[:, 1])
+        return lines[joining & ~np.isin(keys, self.topology.edge_keys)]
 
     @property
     def untextured(self) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import cKDTree
 
 from pb4u.garment.fit import RestBody
 from pb4u.garment.pins import collar_of, highest_reaching
@@ -29,9 +29,6 @@ _LEVEL = 0.1
 """Share of the body's height that a waistband spans at most; the border of a bib with its straps spans more."""
 _SEWABLE = 0.03
 """Distance [m] between the end of a strap and a border across which it is taken to be left unsewn."""
-_STEP, _NEAR_AXIS, _STRETCH = 0.02, 0.25, 1.05
-"""Step between levels [m] of cross sections, how far [m] from the body's axis a part of one lies that is no arm, and
-how much cloth gives where it slides over what is wider."""
 
 
 def _resting(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> np.ndarray:
@@ -116,55 +113,6 @@ def _strap(
         if gaps[k] < _SEWABLE and sewn(topology.faces, len(vertices), np.array([*tacks, pair])) is not None:
             tacks.append(pair)
     return Strap(end, float(gaps.min()), tuple(tacks))
-
-
-def slide(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> float | None:
-    """Distance [m] that a garment slides down until the body is wider than it; None if it slides to the ground.
-
-    Args:
-        vertices: (vertices, 3) of the garment where it is worn [m].
-        faces: (faces, 3) int64.
-        body: the resting body.
-    """
-    middle = 0.5 * (body.vertices.min(axis=0) + body.vertices.max(axis=0))[[0, 2]]
-    low, high = float(body.vertices[:, 1].min()), float(vertices[:, 1].max())
-    levels = np.arange(low, high + _STEP, _STEP)
-    wide, rings = np.zeros(len(levels)), np.zeros(len(levels))
-    for k, level in enumerate(levels):
-        parts = _cut(body.vertices, body.faces, level, middle)
-        wide[k] = _band(parts)
-        centre = np.concatenate(parts).mean(axis=0) if parts else middle
-        rings[k] = _band([part for part in _cut(vertices, faces, level, middle) if _is_around(part - centre)])
-    # Where it is worn it goes round, whatever part of an arm the band is led over there.
-    most = np.maximum(rings * _STRETCH, wide + 0.5 * _STEP)
-    for steps in range(1, len(levels)):
-        stopped = most[steps:] < wide[: len(levels) - steps]
-        if (stopped & (rings[steps:] > 0.0)).any():
-            return _STEP * steps
-    return None
-
-
-def _cut(vertices: np.ndarray, faces: np.ndarray, level: float, middle: np.ndarray) -> list[np.ndarray]:
-    """Points (n, 2) [m] in x and z of each part of a surface at a level that is no arm."""
-    near = faces[np.abs(vertices[faces, 1] - level).min(axis=1) < 0.75 * _STEP]
-    labels = connected_labels(len(vertices), *near[:, [0, 1, 1, 2]].reshape(-1, 2).T)
-    used = np.unique(near)
-    parts = [vertices[used[labels[used] == label]][:, [0, 2]] for label in np.unique(labels[used])]
-    return [part for part in parts if abs(part[:, 0].mean() - middle[0]) < _NEAR_AXIS]
-
-
-def _is_around(points: np.ndarray) -> bool:
-    """Whether points (n, 2) lie all around the origin."""
-    angles = np.sort(np.arctan2(points[:, 1], points[:, 0]))
-    return bool(np.diff(angles, append=angles[:1] + 2.0 * np.pi).max() < 0.6 * np.pi)
-
-
-def _band(parts: list[np.ndarray]) -> float:
-    """Length [m] of a band round all parts; 0 where there is none."""
-    try:
-        return float(ConvexHull(np.concatenate(parts)).area) if parts else 0.0
-    except QhullError:
-        return 0.0
 
 
 class Support(NamedTuple):

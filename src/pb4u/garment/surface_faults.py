@@ -8,6 +8,9 @@ import numpy as np
 
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.garment.surface_parts import gap_between, sewn_on
+from pb4u.garment.tacks import FARTHEST
+from pb4u.garment.thread_seams import sewable_threads
+from pb4u.geometry.topology import connected_labels
 from pb4u.geometry.triangle_mesh import edge_lengths
 
 # Deviation of edge lengths, of their mean, above which they count as graded; built-in garments have about a tenth.
@@ -28,6 +31,7 @@ class Fault(NamedTuple):
         faces: indices of the author's polygons concerned.
         vertices: indices of the author's vertices concerned.
         is_refused: whether it cannot be simulated.
+        is_note: whether nothing need be done about it.
     """
 
     code: str
@@ -38,6 +42,7 @@ class Fault(NamedTuple):
     faces: np.ndarray | None = None
     vertices: np.ndarray | None = None
     is_refused: bool = False
+    is_note: bool = False
 
 
 def surface_faults(surface: SourceSurface) -> list[Fault]:
@@ -73,8 +78,9 @@ def surface_faults(surface: SourceSurface) -> list[Fault]:
     if len(loose := surface.unwelded):
         sentence = f"{len(loose)} border vertices lie on top of others, first {first(loose)}: a seam that will open."
         faults.append(Fault("unwelded", sentence, "weld them", "", True, vertices=loose))
-    if surface.piece_count > 1:
-        sentence = f"The garment is in {surface.piece_count} pieces that nothing holds together."
+    threads = sewable_threads(surface)
+    if (count := _pieces(surface, threads)) > 1:
+        sentence = f"The garment is in {count} pieces that nothing holds together."
         fix = "weld the seams between them" if len(loose) else "join them where they were made, or delete all but one"
         if (gap := gap_between(surface)) is not None and gap.pairs:
             along = f"{gap.pairs} vertices of their borders face each other {1000 * gap.along:.2g} mm apart"
@@ -83,10 +89,18 @@ def surface_faults(surface: SourceSurface) -> list[Fault]:
         elif gap is not None:
             sentence = f"{sentence[:-1]}, {100 * gap.nearest:.2g} cm apart at the nearest."
         faults.append(Fault("pieces", sentence, fix, mendable=bool(len(loose))))
-    if len(lines := surface.unsewn):
+    if len(threads):
+        ends = surface.source.vertices[threads]
+        longest = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max()
+        sentence = f"{len(threads)} lines of its file are threads of seams, up to {100 * longest:.2g} cm long."
+        fix, sewing = "none is needed: they are sewn", "they are sewn, both ends as one vertex halfway between"
+        faults.append(Fault("threads", sentence, fix, sewing, vertices=np.unique(threads), is_note=True))
+    if len(lines := surface.unsewn) > len(threads):
+        lines = lines[~(lines[:, None] == threads).all(axis=2).any(axis=1)]
         sentence = f"{len(lines)} lines of its file join vertices as threads of a seam, first {first(lines)}."
         fix = (
-            "they are not followed: sew it where it was made, so that both ends are one vertex, or give it as a pattern"
+            f"they are not sewn, since they are longer than {100 * FARTHEST:.0f} cm, end inside the cloth, or would "
+            "fold it: bring the borders together where it was made, or give it as a pattern"
         )
         faults.append(Fault("unsewn", sentence, fix, vertices=np.unique(lines)))
     if len(turned := surface.turned_over):
@@ -110,6 +124,13 @@ def surface_faults(surface: SourceSurface) -> list[Fault]:
         fix = "unwrap them where they were made to see images and threads there"
         faults.append(Fault("no-uvs", sentence, fix, faces=bare))
     return faults
+
+
+def _pieces(surface: SourceSurface, threads: np.ndarray) -> int:
+    """Number of connected pieces, once the threads (threads, 2) are sewn."""
+    ends = surface.topology.piece_of_vertex
+    joined = connected_labels(len(ends), *ends[threads].T)
+    return len(np.unique(joined[ends[surface.faces[:, 0]]]))
 
 
 def is_double(surface: SourceSurface) -> bool:

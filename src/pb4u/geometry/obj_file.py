@@ -204,9 +204,13 @@ def _corners(path: Path, faces: list[tuple[int, bytes, int, int]]) -> tuple[np.n
                 t = int(fields[1]) if len(fields) > 1 and fields[1] else 0
                 uv_index.append(t - 1 if t > 0 else t + uvs if t < 0 else -1)
         except ValueError:
-            raise InputError(f"{path} line {number}: the face index {_shown(token)} is not a whole number.") from None
+            raise InputError(
+                f"{path} line {number}: the face index {_shown(token)} is not a whole number; export it again."
+            ) from None
         if len(tokens) < 3:
-            raise InputError(f"{path} line {number}: a face needs 3 corners or more, not {len(tokens)}.")
+            raise InputError(
+                f"{path} line {number}: a face needs 3 corners or more, not {len(tokens)}; export it again."
+            )
         ends.append(len(vertex_index))
     try:
         return np.array(vertex_index, dtype=np.int64), np.array(uv_index, dtype=np.int64), np.array(ends)
@@ -280,8 +284,9 @@ def write_obj(path: Path, mesh: PolygonMesh, groups: Sequence[str] = (), seams: 
             f"{name}f " + " ".join(str(v + 1) for v in polygon.tolist()) + "\n"
             for name, polygon in zip(names, mesh.polygons, strict=True)
         ]
-    if seams is not None:
-        parts += ["g seams\n", *(f"l {a} {b}\n" for a, b in (seams + 1).tolist())]
+    for lines, heading in ((mesh.lines, []), (seams, ["g seams\n"])):
+        if lines is not None:
+            parts += [*heading, *(f"l {a} {b}\n" for a, b in (lines + 1).tolist())]
     with on_disk(f"{path} cannot be written"):
         if looks is not None:
             write_mtl(mtl, looks.listed)

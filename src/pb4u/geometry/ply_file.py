@@ -48,7 +48,9 @@ def read_ply(path: Path) -> PolygonMesh:
         if not polygons:
             raise no_faces(path)
         if few := [k for k, polygon in enumerate(polygons) if len(polygon) < 3]:
-            raise InputError(f"{path}: face {few[0]} has {len(polygons[few[0]])} corners; a face needs 3 or more.")
+            raise InputError(
+                f"{path}: face {few[0]} has {len(polygons[few[0]])} corners; a face needs 3 or more; export it again."
+            )
         vertices = np.column_stack([points[axis] for axis in "xyz"]).astype(np.float64)
         require_sound(path, vertices, np.concatenate(polygons))
         if "texcoord" in face:

@@ -101,7 +101,7 @@ def open_archive(path: Path, names: Iterable[str] | None = None) -> Iterator[zip
     except InputError:
         raise
     except _UNREADABLE as error:
-        raise InputError(f"{path}: not a readable .npz of plain arrays ({error}).") from error
+        raise InputError(f"{path}: not a readable .npz of plain arrays ({error}); save or fetch it again.") from error
 
 
 def member_names(path: Path) -> tuple[str, ...]:

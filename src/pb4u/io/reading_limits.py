@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -79,13 +79,15 @@ def read_json(path: Path) -> Any:
     return parse_json(path.read_bytes())
 
 
-def names_text(names: Iterable[object]) -> str:
+def names_text(names: Iterable[object], like: Sequence[str] = ()) -> str:
     """The first of many names, for a message.
 
     Args:
         names: any number of names.
+        like: parts of names that come first, since they may be what was looked for.
     """
-    ordered = sorted(str(name)[:40] for name in names)
+    texts = (str(name)[:40] for name in names)
+    ordered = sorted(texts, key=lambda text: (not any(part in text for part in like), text))
     return ", ".join(ordered[:10]) + (f" and {len(ordered) - 10} more" if len(ordered) > 10 else "") or "(none)"
 
 
@@ -119,4 +121,4 @@ def refusing(path: Path, sentence: str) -> Iterator[None]:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
     except Exception as error:
         kind = "" if type(error) in (ValueError, UnicodeDecodeError) else f"{type(error).__name__}: "
-        raise InputError(f"{path} {sentence} ({kind}{error_text(error)}).") from error
+        raise InputError(f"{path} {sentence} ({kind}{error_text(error)}); save or fetch it again.") from error

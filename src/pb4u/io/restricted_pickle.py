@@ -127,18 +127,14 @@ class _Chumpy(_Shell):
 
 
 class _Sparse(_Shell):
-    """A matrix of scipy, whose indices are checked before compiled code follows them."""
+    """A matrix of scipy as body models have it, whose indices are checked before compiled code follows them."""
 
     def made(self, file: BinaryIO) -> Any:
         import scipy.sparse
 
-        state, kind = self.state, type(self).__name__[:3]
+        state = self.state
         shape = tuple(int(n) for n in state["_shape" if "_shape" in state else "shape"])
-        if kind == "coo":
-            places = state["coords"] if "coords" in state else (state["row"], state["col"])
-            return scipy.sparse.coo_matrix((state["data"], tuple(places)), shape=shape)
-        make = scipy.sparse.csr_matrix if kind == "csr" else scipy.sparse.csc_matrix
-        matrix = make((state["data"], state["indices"], state["indptr"]), shape=shape)
+        matrix = scipy.sparse.csc_matrix((state["data"], state["indices"], state["indptr"]), shape=shape)
         matrix.check_format(full_check=True)
         return matrix
 
@@ -173,7 +169,7 @@ class _Unpickler(pickle._Unpickler):
             return known
         if module.split(".")[0] == "chumpy" and name.isidentifier():
             return type(name, (_Chumpy,), {})
-        if module.startswith("scipy.sparse") and re.fullmatch(r"(csr|csc|coo)_(matrix|array)", name):
+        if module.startswith("scipy.sparse") and name in ("csc_matrix", "csc_array"):
             return type(name, (_Sparse,), {})
         raise _Refused(f'it asks for "{module}.{name}"')
 

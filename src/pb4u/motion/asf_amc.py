@@ -221,7 +221,7 @@ def _read_frames(path: Path, rest: AcclaimSkeleton, asf: Path) -> tuple[list[str
     degrees = [":RADIANS"] not in [[word.upper() for word in words] for words in lines[:first]]
     lines = lines[first:]
     if not lines:
-        raise InputError(f"{path} holds no frames.")
+        raise InputError(f"{path} holds no frames; export it again.")
     size = next((k for k, words in enumerate(lines[1:], 1) if len(words) == 1), len(lines))
     names = [words[0] for words in lines[1:size]]
     known = dict(zip(rest.skeleton.names, rest.channels, strict=True))

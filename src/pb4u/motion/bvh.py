@@ -47,10 +47,14 @@ def read_bvh(path: Path) -> Recording:
             joints are not of a known skeleton, or make no person in its frames.
     """
     text = path.read_text(encoding="utf-8-sig", errors="replace")
+    if "." not in text:  # written where numbers have a decimal comma
+        text = text.replace(",", ".")
     head, motion, tail = text.partition("MOTION")
     if not motion or not head.lstrip().upper().startswith("HIERARCHY"):
-        missing = "MOTION section; it is cut short" if "HIERARCHY" in head else "HIERARCHY; it is not a BVH recording"
-        raise InputError(f"{path} has no {missing}.")
+        missing = (
+            "MOTION section, as it is cut short" if "HIERARCHY" in head else "HIERARCHY, as it is not a BVH recording"
+        )
+        raise InputError(f"{path} has no {missing}; export it again as BVH.")
     with refusing(path, "is cut short in its HIERARCHY, or damaged"):
         joints = _hierarchy(head)
     source = _source(path, joints)
@@ -128,7 +132,7 @@ def _hierarchy(text: str) -> list[_Joint]:
             if parents[-1] != _END:
                 joints[-1] = replace(joints[-1], offset=offset)
         elif keyword == "CHANNELS":
-            channels = tuple(next(words, "") for _ in range(int(next(words, ""))))
+            channels = tuple(next(words, "").capitalize() for _ in range(int(next(words, ""))))
             if joints[-1].channels or not set(channels) <= _CHANNELS:
                 raise ValueError(f'joint "{joints[-1].name}" has its CHANNELS twice, or unknown ones: {channels}')
             joints[-1] = replace(joints[-1], channels=channels, first_channel=count)
@@ -163,7 +167,7 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
         frames, frame_time = int(words[1]), float(words[4])
         values = np.array([float(word) for word in (following + text[_HEADING:]).split()])
     if frames < 1:
-        raise InputError(f"{path} holds no frames.")
+        raise InputError(f"{path} holds no frames; export it again.")
     if not 0.0 < frame_time < np.inf:
         raise InputError(f"{path}: the frame time is {frame_time:g} s; it should be positive, such as 0.00833333.")
     count = len(values)
@@ -172,7 +176,10 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
             f"{path} is cut short: it should have {frames} frames of {channels} numbers, and ends in frame "
             f"{count // channels + 1}."
         )
-    if count > frames * channels:
-        raise InputError(f"{path} has {count} numbers, not the {frames} frames of {channels} that its header tells.")
+    if count % channels:
+        told = f"not the {frames} frames of {channels} that its header tells"
+        raise InputError(f"{path} has {count} numbers, {told}; export it again.")
+    if count > frames * channels:  # Rokoko's count is one short
+        frames = count // channels
     require_rate(1.0 / frame_time, path)
     return finite_frames(values.reshape(frames, channels), path), unrounded_rate(1.0 / frame_time)

@@ -29,8 +29,13 @@ _TO_Y_UP = {"Z": np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0]), "-Y": np.arr
 _PLAIN = 0.7
 # Places of the pelvis in bodies at rest [m]: not taken in, of SMPL and of SMPL-X.
 _PELVES = np.array([[0.0, 0.0, 0.0], [0.0, -0.22, 0.03], [0.0, -0.35, 0.01]])
-# A floor fits better by so much [m], and not at all beyond so much.
-_BETTER, _NO_FLOOR = 0.05, 0.5
+# A floor fits better by so much [m], and not at all beyond so much. A root that begins so near [m] was put there.
+_BETTER, _NO_FLOOR, _AT_ORIGIN = 0.05, 0.5, 0.02
+_ARMS = tuple(
+    f"{side}_{part}"
+    for side in ("left", "right")
+    for part in ("elbow", "wrist", "hand", "thumb", "index", "middle", "ring", "pinky")
+)
 
 # A pose file holds no skeleton. This one has the proportions of an average adult in round numbers [m]; it serves to
 # scale the travel to other bodies and to tell how limbs rest, in a T-pose with the legs a little apart.
@@ -48,12 +53,15 @@ _PARENTS = {
 
 
 _RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "fps")
-_POSE_KEYS = ("poses", "pose", "body_pose")
-_TRANSLATION_KEYS = ("trans", "translation", "transl")
+_WHOLE_POSE_KEYS = ("poses", "pose", "smpl_poses")
+_POSE_KEYS = (*_WHOLE_POSE_KEYS, "body_pose")
+_TRANSLATION_KEYS = ("trans", "translation", "transl", "smpl_trans")
 # What SMPL-X has after its body, in its order -> numbers a frame.
 _SMPLX_PARTS = {"jaw_pose": 3, "leye_pose": 3, "reye_pose": 3, "left_hand_pose": 45, "right_hand_pose": 45}
 # The files do not tell their rate; it is that of the released VTO sequences.
 _VTO_RATE = 30.0
+# That of AIST++ (Li et al. 2021), whose places are in a unit of `smpl_scaling` to the metre.
+_AIST_RATE = 60.0
 # A recorded shape is reported where a beta exceeds this, else it counts as average; so many betas are reported.
 _SLIGHT_BETA, _BETAS_TOLD = 0.05, 4
 
@@ -65,7 +73,7 @@ def read_amass(path: Path) -> Recording:
 
     Args:
         path: an .npz with `poses` (frames, 72, 156 or 165), `trans` (frames, 3) and a frame rate; the rate is NaN where
-            it has none.
+            it has none. Under other usual names of these Y is up, unless the frames tell.
 
     Raises:
         InputError: a key is missing, a shape is wrong, or it is no .npz of plain arrays.
@@ -73,19 +81,34 @@ def read_amass(path: Path) -> Recording:
     names = set(member_names(path))
     if {"global_orient", "body_pose"} <= names:
         return _joint_by_joint(path, names)
-    missing = [key for key in ("poses", "trans") if key not in names]
+    pose_key, translation_key = (
+        next((key for key in (first, *keys) if key in names), first)
+        for first, keys in (("poses", _WHOLE_POSE_KEYS), ("trans", _TRANSLATION_KEYS))
+    )
+    missing = [key for key in (pose_key, translation_key) if key not in names]
     if missing and "faces" in names and {"positions", "vertices"} & names:
         raise InputError(f"{path} is a body that moves, not a recording; give it as --body {path}.")
     rate_key = next((key for key in _RATE_KEYS if key in names), None)
+    if {"pose_world", "trans_world", "imgname"} <= names:
+        raise InputError(
+            f"{path} labels images of BEDLAM: each row of its pose_world and trans_world is one person in one image; "
+            "give a file of BEDLAM's motions, which has poses and trans, or save the rows of one person as these."
+        )
     if missing:
-        raise InputError(f"{path} has no {' and no '.join(missing)}; it holds {names_text(names)}.")
-    file = read_arrays(path, ("poses", "trans", *([] if rate_key is None else [rate_key])))
-    poses, translations = file["poses"], file["trans"]
+        held = names_text(names, ("pose", "trans", "orient"))
+        way = "give a motion that lies beside it" if held == "betas, gender" else "save a motion under these names"
+        raise InputError(f"{path} has no {' and no '.join(missing)}; it holds {held}: {way}.")
+    file = read_arrays(path, (pose_key, translation_key, *([] if rate_key is None else [rate_key])))
+    poses, translations = file[pose_key], file[translation_key]
     rate = np.array(np.nan) if rate_key is None else file[rate_key]
     betas, gender = (_optional(path, key) for key in ("betas", "gender"))
     if rate.size != 1 or not all(a.dtype.kind in "iuf" for a in (poses, translations, rate)):
-        raise InputError(f"{path}: poses, trans and {rate_key} should be numbers, the last a single one.")
-    recording = smpl_recording(path, poses, translations, float(rate.reshape(-1)[0]), z_up=True, told_by="its keys")
+        wanted = f"{pose_key}, {translation_key} and {rate_key}"
+        raise InputError(f"{path}: {wanted} should be numbers, the last a single one.")
+    of_amass = (pose_key, translation_key) == ("poses", "trans")
+    recording = smpl_recording(
+        path, poses, translations, float(rate.reshape(-1)[0]), of_amass, "its keys" if of_amass else "nothing"
+    )
     return replace(recording, notes=(*recording.notes, *shape_note(path, betas, gender)))
 
 
@@ -133,30 +156,38 @@ def shape_note(path: Path, betas: np.ndarray | None, gender: np.ndarray | None =
 
 
 def vto_recording(path: Path, content: Any) -> Recording:
-    """A sequence of the VTO dataset or of HOOD, at 30 fps with Y up.
+    """A sequence of the VTO dataset or of HOOD, at 30 fps, or of AIST++, at 60 fps; Y up.
 
     Args:
         path: the file, for messages.
         content: what it holds: `poses` (frames, 72), or `body_pose` (frames, 69) and `global_orient` (frames, 3) as
-            HOOD writes them, and `trans` (frames, 3).
+            HOOD writes them, and `trans` (frames, 3); or `smpl_poses`, `smpl_trans` and `smpl_scaling`.
 
     Raises:
         InputError: a key is missing or a shape is wrong.
     """
     if not isinstance(content, Mapping):
-        raise InputError(f"{path} holds a {type(content).__name__}, not the dictionary of a sequence.")
+        raise InputError(
+            f"{path} holds a {type(content).__name__}, not the dictionary of a sequence; give the recording itself."
+        )
     pose_key = next((key for key in _POSE_KEYS if key in content), None)
     translation_key = next((key for key in _TRANSLATION_KEYS if key in content), None)
     if pose_key is None or translation_key is None:
         wanted = "poses" if pose_key is None else "trans"
-        raise InputError(f"{path} has no {wanted}; it holds {names_text(content)}.")
+        held = names_text(content, ("pose", "trans", "orient"))
+        raise InputError(f"{path} has no {wanted}; it holds {held}: save a motion under this name.")
     poses, translations = (stored_numbers(content[key], path, key) for key in (pose_key, translation_key))
     if poses.ndim == 2 and poses.shape[1] == 69 and "global_orient" in content:
         root = stored_numbers(content["global_orient"], path, "global_orient")
         if root.shape != (len(poses), 3):
             raise InputError(f"{path}: global_orient has the shape {root.shape}, not ({len(poses)}, 3).")
         poses = np.concatenate([root, poses], axis=1)
-    return smpl_recording(path, poses, translations, _VTO_RATE, told_by="its keys")
+    if "smpl_scaling" not in content:
+        return smpl_recording(path, poses, translations, _VTO_RATE, told_by="its keys")
+    scaling = stored_numbers(content["smpl_scaling"], path, "smpl_scaling")
+    if scaling.size != 1 or not float(scaling.reshape(-1)[0]) > 0.0:
+        raise InputError(f"{path}: smpl_scaling should be a single number above 0.")
+    return smpl_recording(path, poses, translations / float(scaling.reshape(-1)[0]), _AIST_RATE, told_by="its keys")
 
 
 def smpl_recording(
@@ -185,9 +216,11 @@ def smpl_recording(
         widths = ", ".join(f"{width} ({family})" for width, family in sorted(_FAMILY_OF_WIDTH.items()))
         raise InputError(f"{path}: poses have the shape {poses.shape}; each frame should hold {widths} numbers.")
     if translations.shape != (len(poses), 3):
-        raise InputError(f"{path}: translations have the shape {translations.shape}, not ({len(poses)}, 3).")
+        raise InputError(
+            f"{path}: translations have the shape {translations.shape}, not ({len(poses)}, 3); save them anew."
+        )
     if not len(poses):
-        raise InputError(f"{path} holds no frames.")
+        raise InputError(f"{path} holds no frames; export it again.")
     if not np.isnan(fps):
         require_rate(fps, path)
     skeleton = nominal_skeleton(_FAMILY_OF_WIDTH[poses.shape[1]])
@@ -210,8 +243,8 @@ def smpl_recording(
 def _up_axis(skeleton: Skeleton, sequence: PoseSequence, usual: str, told_by: ToldBy) -> str:
     """The axis that is up: the usual one, or another that the pelvis plainly points along on average.
 
-    That counts where a floor at 0 fits better there. Where it fits on neither, the pelvis decides for the axes of a
-    camera, and for any where nothing tells.
+    That counts where a floor at 0 fits better there. A root that begins at the origin tells no floor. Where none fits,
+    the pelvis tells the axes of a camera, unless people are on their hands, and any axis where nothing else tells.
     """
     _, y, z = rotate(sequence.rotations[:, 0], np.array([0.0, 1.0, 0.0])).mean(axis=0)
     if usual == "Z":
@@ -229,9 +262,14 @@ def _up_axis(skeleton: Skeleton, sequence: PoseSequence, usual: str, told_by: To
         return min(floor_misfit(low + direction @ pelvis) for pelvis in _PELVES)
 
     fits = {axis: misfit(axis) for axis in (usual, other)}
-    if min(fits.values()) > _NO_FLOOR:
-        return other if other == "-Y" or told_by == "nothing" else usual
-    return other if fits[other] + _BETTER < fits[usual] else usual
+    centred = bool(np.abs(sequence.root_positions[0]).max() < _AT_ORIGIN)
+    if not centred and min(fits.values()) <= _NO_FLOOR:
+        return other if fits[other] + _BETTER < fits[usual] else usual
+    if other != "-Y":
+        return other if told_by == "nothing" and not centred else usual
+    lowest = (joints @ _AXES[usual]).argmin(axis=1)
+    on_hands = np.isin(lowest, [k for k, name in enumerate(skeleton.names) if name.startswith(_ARMS)]).mean() > 0.5
+    return usual if on_hands or (centred and usual == "Z") else other
 
 
 def full_poses(path: Path, parameters: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -255,7 +293,7 @@ def full_poses(path: Path, parameters: Mapping[str, np.ndarray]) -> tuple[np.nda
     body = parameters["body_pose"]
     frames = len(body) if body.ndim else 0
     if not frames:
-        raise InputError(f"{path} holds no frames.")
+        raise InputError(f"{path} holds no frames; export it again.")
     body = body.reshape(frames, -1)
     widths = {"global_orient": 3, "body_pose": body.shape[1], **_SMPLX_PARTS}
     if body.shape[1] not in (63, 69):

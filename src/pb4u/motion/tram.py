@@ -18,6 +18,10 @@ from pb4u.motion.recording import Recording
 from pb4u.motion.repair import without_gaps
 from pb4u.motion.smpl_recording import shape_note, smpl_recording
 
+_WANTED = (
+    "Give the hps_track_0.npy of TRAM; places of joints without rotations, as of HumanML3D and MDM, are not read: "
+    "export BVH."
+)
 # The files do not tell the rate of their video.
 _RATE = 30.0
 # The pelvis of the average SMPL body at rest [m], about which its root turns; the file of the body is not needed.
@@ -57,13 +61,16 @@ def read_tram(path: Path) -> Recording:
     if matrices.ndim != 4 or matrices.shape[1:] != (24, 3, 3) or not len(matrices) == len(shifts) == len(frames):
         raise InputError(f"{path}: pred_rotmat has the shape {matrices.shape}, not ({len(frames)}, 24, 3, 3).")
     if turns.shape != (len(places), 3, 3) or frames.dtype.kind not in "iu" or frames.size == 0:
-        raise InputError(f"{camera_file}: {keys[0]} has the shape {turns.shape}, where one turn a frame belongs.")
+        raise InputError(
+            f"{camera_file}: {keys[0]} has the shape {turns.shape}, where one turn a frame belongs; run TRAM again."
+        )
     if frames.min() < 0 or frames.max() >= len(turns):
         raise InputError(
-            f"{path} has frame {frames.max()}, and {camera_file} has {len(turns)}; they are of two videos."
+            f"{path} has frame {frames.max()}, and {camera_file} has {len(turns)}; they are of two videos: put its own "
+            "camera.npy beside it."
         )
     if not (np.isfinite(matrices).all() and np.isfinite(turns).all() and (np.linalg.det(matrices) > 0.1).all()):
-        raise InputError(f"{path}: pred_rotmat holds what is no rotation, or is not finite.")
+        raise InputError(f"{path}: pred_rotmat holds what is no rotation, or is not finite; run TRAM again.")
     flip = np.eye(3) if in_world else _UPRIGHT
     world, origin = flip @ turns[frames], places[frames] @ flip.T
     matrices[:, 0] = world @ matrices[:, 0]
@@ -77,11 +84,14 @@ def read_tram(path: Path) -> Recording:
 
 
 def _dictionary(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
-    content = load_object_array(path)
+    try:
+        content = load_object_array(path)
+    except InputError as error:
+        raise InputError(f"{error} {_WANTED}") from None
     if not isinstance(content, Mapping):
-        raise InputError(f"{path} holds a {type(content).__name__}, not the dictionary that TRAM writes.")
+        raise InputError(f"{path} holds a {type(content).__name__}, not the dictionary that TRAM writes. {_WANTED}")
     if missing := [key for key in keys if key not in content]:
-        raise InputError(f"{path} has no {missing[0]}; it holds {names_text(content)}.")
+        raise InputError(f"{path} has no {missing[0]}; it holds {names_text(content)}. {_WANTED}")
     return {key: stored_numbers(content[key], path, key) for key in (*keys, "pred_shape") if key in content}
 
 

@@ -7,13 +7,14 @@ import numpy as np
 from pb4u.motion.recording import Recording
 
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
-_Y = _AXES[1]
+_Y, _Z = _AXES[1], _AXES[2]
 # Someone stands along an axis on which the shoulders are this share of their height above the feet, on average.
 _STANDS = 0.6
 # What is above the floor may stand on something, what is beneath it may not: [m/m] in that measure.
 _ABOVE = 0.3
-# Another axis than the supposed one has a floor that fits better by so much [m].
-_BETTER = 0.1
+# Another axis than the supposed one has a floor at the lowest joints within so much, and better by so much [m]. A root
+# that begins so near [m] was put to the origin, and tells no floor.
+_FITS, _BETTER, _AT_ORIGIN = 0.12, 0.1, 0.02
 
 
 def standing_axis(recording: Recording, joints: np.ndarray, rest: np.ndarray | None) -> np.ndarray:
@@ -38,11 +39,12 @@ def standing_axis(recording: Recording, joints: np.ndarray, rest: np.ndarray | N
     known = [] if rest is None else [nearest_axis(rest)]
     if stands and known and np.array_equal(along, known[0]):
         return along
-    supposed = [_Y] if not known or np.array_equal(known[0], _Y) else [*stands, *known]
-    axes = [*supposed, *stands, *known, _Y]
-    misfits = np.array([floor_misfit(recording.metres * (joints @ axis).min(axis=1)) for axis in axes])
-    misfits[1:] += _BETTER
-    return axes[int(misfits.argmin())]
+    supposed = _Y if not known or np.array_equal(known[0], _Y) else [*stands, *known][0]
+    axes = np.array([supposed, *stands, *known, _Y, _Z])
+    off = np.abs(recording.metres * (joints @ axes.T).min(axis=1)).mean(axis=0)
+    at_origin = recording.metres * np.abs(joints[0, 0]).max() < _AT_ORIGIN
+    other = int(off.argmin())
+    return supposed if at_origin or off[other] > _FITS or off[other] + _BETTER > off[0] else axes[other]
 
 
 def floor_misfit(lowest: np.ndarray) -> float:

@@ -46,13 +46,16 @@ def wham_recording(path: Path, content: Mapping[Any, Any], person: str | None) -
     if person not in people:
         told = ", ".join(f"{name} ({_length(held)} frames)" for name, held in list(people.items())[:10])
         if person is not None:
-            raise InputError(f"{path} has no person {person[:40]}; it has {told}.")
+            raise InputError(f"{path} has no person {person[:40]}; it has {told}; choose one of these.")
         if len(people) > 1:
             raise InputError(f"{path} holds {len(people)} people, {told}; choose one as {path}:{next(iter(people))}.")
         person = next(iter(people))
     held = people[person]
     if "pose_world" not in held or "trans_world" not in held:
-        raise InputError(f"{path}: person {person} has no pose_world and trans_world, but {names_text(held)}.")
+        raise InputError(
+            f"{path}: person {person} has no pose_world and trans_world, but {names_text(held)}; motion before a "
+            "camera alone, as of VIBE and PHALP, is not read: give what WHAM, TRAM or GVHMR writes."
+        )
     poses, translations = (stored_numbers(held[key], path, key) for key in ("pose_world", "trans_world"))
     recording = smpl_recording(path, poses, translations, _RATE, told_by="its program")
     recording = replace(recording, name=path.stem if len(people) == 1 else f"{path.stem}_{person}", from_video=True)

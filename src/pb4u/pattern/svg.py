@@ -12,6 +12,7 @@ rotation = [0, 180, 0]
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
@@ -146,7 +147,7 @@ def _outlines(path: Path, wanted: Collection[str]) -> dict[str, list[Any]]:
     Each of the `wanted` names may be that of one path alone.
     """
     with extra("svg", "Reading a pattern drawn in an SVG"):
-        from svgelements import SVG, Path as Outline, Shape
+        from svgelements import SVG, Matrix, Path as Outline, Shape
 
     with on_disk(f"The drawing {path} cannot be read"):
         content = path.read_bytes()
@@ -158,7 +159,11 @@ def _outlines(path: Path, wanted: Collection[str]) -> dict[str, list[Any]]:
         shapes = [element for element in drawing.elements() if isinstance(element, Shape) and element.id]
         # Other values of a shape are those of the layer that it lies in.
         names = [shape.values["attributes"].get(_LABEL) or shape.id for shape in shapes]
-        outlines = [list(abs(Outline(shape))) for shape in shapes]
+        # Illustrator's user unit is a point.
+        head = content.partition(b"<svg")
+        in_points = b"Adobe Illustrator" in head[0] and not re.search(rb"^[^>]*(width|height)=\S*(mm|cm|in)\b", head[2])
+        scale = Matrix.scale(96.0 / 72.0 if in_points else 1.0)
+        outlines = [list(abs(Outline(shape) * scale)) for shape in shapes]
     except (ValueError, TypeError, SyntaxError, IndexError, KeyError, AttributeError, ZeroDivisionError) as error:
         raise InputError(f"{path} cannot be read as SVG: {error}.") from None
     if repeated := next((name for name in wanted if names.count(name) > 1), None):
