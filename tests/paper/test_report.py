@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from tests.paper.test_protocol_plan import SMALL
 
 from pb4u.paper.page import Plot, Remark, Table, as_markdown
+from pb4u.paper.paper_layout import loss_and_latency, terms_by_level, total_by_arm
 from pb4u.paper.plots import across_levels
 from pb4u.paper.protocol_plan import plan
 from pb4u.paper.summary import Row, Spread, Summary, spread, wilson
@@ -75,6 +76,31 @@ def test_terms_stand_in_rows_and_the_papers_models_in_columns_set_apart() -> Non
     assert rows["total loss [J]"] == "-"
     assert rows["deepest penetration [mm]"] == "12.0"
     assert (rows["diverged"], rows["scenes"]) == ("0 of 1 (0 to 79 %)", "1")
+
+
+def test_the_papers_layout_has_its_rows_and_marks_best_and_second() -> None:
+    summary = summary_of({("11K", "walk"): result(0.5, diverged=True)}, levels=("11K",))
+    (table,) = terms_by_level(summary)
+    assert isinstance(table, Table)
+    assert [row[0] for row in table.rows] == [
+        "**11K**", "Stretch", "Bending", "Collision", "Inertia", "Gravity", "Friction", "Total", "lost",
+    ]  # fmt: skip
+    assert table.head[:3] == ["metric", "skinning", "MGN (paper, other data)"]
+    total = table.rows[7]
+    assert total == ["Total", "**5.00E-01**", "4.70E-03", "9.45E-03", "**-2.56E-02**", "4.24E-02", "<u>-1.66E-02</u>"]
+    assert table.rows[8][:2] == ["lost", "1 of 1"]
+
+
+def test_the_papers_layout_of_latency_and_of_the_ablation() -> None:
+    (table,) = loss_and_latency(summary_of({("12K", "walk"): result(1.0)}, protocol="efficiency", levels=("12K",)))
+    assert isinstance(table, Table)
+    assert table.rows[0] == ["12K", "skinning", "**1.00E+00**", "**5.0**", "0 of 1"]
+    assert table.rows[1] == ["12K", "MGN (paper, other data)", "-4.22E-01", "**46.4**", ""]
+    (table,) = total_by_arm(summary_of({("25K", "walk"): result(None)}, protocol="ablation", levels=("11K", "25K")))
+    assert isinstance(table, Table)
+    assert table.head == ["model", "11K", "25K"]
+    assert table.rows[0] == ["skinning", "", ""]
+    assert table.rows[1] == ["Pb4U-GNet (paper, other data)", "**-1.66E-02**", "**6.34E-02**"]
 
 
 def test_controls_stand_in_rows_with_what_lies_below_the_reference() -> None:

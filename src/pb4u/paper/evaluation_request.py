@@ -34,6 +34,7 @@ class EvaluationRequest:
             rollout: two solves a frame for each scene. `controls` always does.
         scenes: Scenes that robustness draws. Default: 64.
         seed: Seed of the scenes that robustness draws.
+        layout: Tables of the project, or as the paper lays them out, with its figures beside them.
 
     Raises:
         InputError: a number out of range.
@@ -56,6 +57,7 @@ class EvaluationRequest:
     measure: Annotated[Literal["excess"] | None, Flag()] = None
     scenes: Annotated[int | None, Flag(metavar="N", least=1)] = None
     seed: Annotated[int, Flag(metavar="N", least=0)] = 0
+    layout: Annotated[Literal["project", "paper"], Flag()] = "project"
 
     def __post_init__(self) -> None:
         require_fitting(self)

@@ -15,6 +15,7 @@ from pb4u.jobs.job_folder import FOLDER_VERSION, JobFolder
 from pb4u.paper.evaluation_request import EvaluationRequest
 from pb4u.paper.page import Block, Plot, Remark, as_markdown
 from pb4u.paper.paper_figures import PAPER
+from pb4u.paper.paper_layout import loss_and_latency, terms_by_level, total_by_arm
 from pb4u.paper.pictures import picture_grid
 from pb4u.paper.plots import across_levels, against_steps, over_time
 from pb4u.paper.protocol_plan import Plan
@@ -46,6 +47,15 @@ VIEWS: dict[str, tuple[View, ...]] = {
 }
 """Protocol -> its tables and plots, in the order of the page; pictures follow where it has them."""
 
+PAPERS_VIEWS: dict[str, tuple[View, ...]] = {
+    "resolution": (terms_by_level, _STRETCH_OVER_TIME),
+    "unseen": (terms_by_level,),
+    "depth": (against_steps,),
+    "efficiency": (loss_and_latency,),
+    "ablation": (total_by_arm,),
+}
+"""The same as the paper lays it out, of what it has."""
+
 
 def write_report(planned: Plan, folder: JobFolder, request: EvaluationRequest) -> dict[str, Any]:
     """Write results.json, the plots and the page of tables of what is done.
@@ -60,7 +70,8 @@ def write_report(planned: Plan, folder: JobFolder, request: EvaluationRequest) -
     """
     summary = summarise(planned, folder)
     protocol = planned.protocol
-    views = (*VIEWS[protocol.name], *([picture_grid] if protocol.pictured else []))
+    laid_out = VIEWS if request.layout == "project" else VIEWS | PAPERS_VIEWS
+    views = (*laid_out[protocol.name], *([picture_grid] if protocol.pictured else []))
     blocks = [_about(summary), *(block for view in views for block in view(summary)), *_remarks(summary)]
     shutil.rmtree(folder.path / PLOTS, ignore_errors=True)
     (folder.path / PLOTS).mkdir()
