@@ -50,7 +50,7 @@ def loss_and_latency(summary: Summary) -> list[Block]:
             for each, form in (("total", ".2E"), ("ms", ".1f"))
         ]
         lost = [*_lost(summary, level), *[""] * len(theirs)]
-        rows += [[level, *row] for row in zip(names, *columns, lost, strict=True)]
+        rows += [[level, *row] for row in zip(names, *columns, lost, strict=True) if any(row[1:])]
     head = ["resolution", "model", "physics loss", "latency [ms]", "lost"]
     return [Table("Efficiency", _NOTE, head, rows, words=2)]
 
