@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from pb4u.collision.crossings import self_crossings
-from pb4u.garment.library import garment_names
+from pb4u.garment.cuts import CUTS
 from pb4u.garment.material import FABRICS, MATERIALS
 from pb4u.jobs.job import Failure, Made
 from pb4u.jobs.job_folder import JobFolder, quiet
@@ -69,7 +69,7 @@ def runs(kind: str, args: argparse.Namespace) -> Iterator[Run]:
         return Run(garments=worn, motion=motion, frames=args.frames or frames, **more)
 
     if kind == "motions":
-        for motion, garment in product(motion_names(), garment_names()):
+        for motion, garment in product(motion_names(), CUTS):
             yield run((garment,), motion, 2500, 200)
     elif kind == "given":
         for garment, motion in product(args.garments.split(","), args.motions.split(",")):
@@ -90,7 +90,7 @@ def runs(kind: str, args: argparse.Namespace) -> Iterator[Run]:
         draw, (first, stop) = np.random.default_rng(0), map(int, args.seeds.split(":"))
         for seed in range(stop):
             alone = draw.random() < 0.7
-            garments = (str(draw.choice(garment_names())),) if alone else OUTFITS[draw.integers(len(OUTFITS))]
+            garments = (str(draw.choice(tuple(CUTS))),) if alone else OUTFITS[draw.integers(len(OUTFITS))]
             shape = {name: float(draw.uniform(0.1, 0.9)) for name in ("height", "weight", "muscle")}
             body = str(draw.choice(["woman", "man"]))
             motion, material = str(draw.choice(motion_names())), str(draw.choice(names))

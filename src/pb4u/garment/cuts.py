@@ -36,10 +36,10 @@ class Bands:
         widths: of the bands that have another than their usual one [m].
     """
 
-    layers: Mapping[str, int] = field(default_factory=dict)
-    fabrics: Mapping[str, str] = field(default_factory=dict)
-    elastic: Mapping[str, float] = field(default_factory=dict)
-    widths: Mapping[str, float] = field(default_factory=dict)
+    layers: Mapping[str, int] = field(default_factory=dict, hash=False)
+    fabrics: Mapping[str, str] = field(default_factory=dict, hash=False)
+    elastic: Mapping[str, float] = field(default_factory=dict, hash=False)
+    widths: Mapping[str, float] = field(default_factory=dict, hash=False)
 
 
 @dataclass(frozen=True)

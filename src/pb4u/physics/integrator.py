@@ -122,7 +122,8 @@ class SecondOrder:
     Norsett, Wanner, Solving Ordinary Differential Equations I, III.5 (steps may grow by 1 + sqrt(2) at most).
 
     So is that of a vertex on which contact pushes: its velocity jumps, and the difference of two mean velocities would
-    throw it back with half of the speed at which it came. Such a vertex ends with its mean velocity, and begins anew.
+    throw it back with half of the speed at which it came. Such a vertex ends with its mean velocity, and begins anew
+    (decision 78).
     """
 
     name = "bdf2"
