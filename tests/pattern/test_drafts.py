@@ -183,6 +183,18 @@ def test_each_is_sewn_and_hangs_on_both_bodies(name: str, body: str, tmp_path, m
     np.testing.assert_array_equal(twice, named[uv_islands(garment.uv_faces)])
 
 
+@pytest.mark.slow
+def test_the_points_of_a_collar_lie_down(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    garment = build_garment("shirt", load_body("man"), 6000)
+    stands = [np.unique(garment.faces[garment.parts[f"stand_front_{side}"]]) for side in ("left", "right")]
+    top = garment.vertices[np.intersect1d(*stands), 1].max()
+    for side in ("left", "right"):
+        fall = garment.parts[f"fall_front_{side}"]
+        point = garment.faces[fall].ravel()[garment.rest_shape[fall][..., 1].ravel().argmax()]
+        assert top - garment.vertices[point, 1] > 0.03
+
+
 def test_it_is_never_moulded_and_wears_other_cloth():
     woman = load_body("woman")
     with pytest.raises(InputError, match="its rest shape is flat"):

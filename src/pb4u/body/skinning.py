@@ -45,6 +45,17 @@ class SkinningWeights:
         """
         return (self.weights * bones[self.bones]).sum(axis=1)
 
+    def at(self, corners: np.ndarray, barycentric: np.ndarray, bone_count: int) -> SkinningWeights:
+        """Weights of other vertices, mixed from those of a triangle each.
+
+        Args:
+            corners: (vertices, 3) int64, corners of the triangle that each lies on.
+            barycentric: (vertices, 3) its coordinates there, rows sum to 1.
+            bone_count: bones of the body.
+        """
+        mixed = np.maximum(np.einsum("vc,vcb->vb", barycentric, self.dense(bone_count)[corners]), 0.0)
+        return strongest_influences(np.broadcast_to(np.arange(bone_count), mixed.shape), mixed, bone_count)
+
 
 def strongest_influences(bones: np.ndarray, weights: np.ndarray, count: int) -> SkinningWeights:
     """The `count` largest weights of each vertex, scaled to sum to 1.

@@ -11,12 +11,12 @@ import numpy as np
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
-from pb4u.body.skinning import SkinningWeights, strongest_influences
+from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.garment.material import DirectionalBending, Material
 from pb4u.garment.trims import Trims
 from pb4u.geometry.appearance import Appearances
-from pb4u.geometry.mesh_arrays import as_numbers, checked_faces, checked_places, checked_vertices
+from pb4u.geometry.mesh_arrays import as_numbers, checked_faces, checked_places, checked_uvs, checked_vertices
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology, uv_islands
 from pb4u.geometry.triangle_mesh import edge_lengths, face_areas, laid_flat
@@ -70,15 +70,10 @@ class GarmentSkinning:
         def mixed(values: np.ndarray) -> np.ndarray:
             return np.einsum("vc,vc...->v...", barycentric, values[corners])
 
-        weights = np.maximum(mixed(self.weights.dense(self.bone_count)), 0.0)
-        bones = np.broadcast_to(np.arange(self.bone_count), weights.shape)
         return GarmentSkinning(
-            mixed(self.vertices),
-            mixed(self.shape_directions),
-            mixed(self.pose_directions),
-            strongest_influences(bones, weights, self.bone_count),
-            self.bone_count,
-        )
+            mixed(self.vertices), mixed(self.shape_directions), mixed(self.pose_directions),
+            self.weights.at(corners, barycentric, self.bone_count), self.bone_count,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -178,12 +173,7 @@ class Garment:
         if (self.uvs is None) != (self.uv_faces is None):
             raise InputError(f"{owner}: uvs and uv_faces belong together; give both or neither.")
         if self.uvs is not None and self.uv_faces is not None:
-            uvs = as_numbers(owner, "uvs", self.uvs)
-            if uvs.ndim != 2 or uvs.shape[1] != 2:
-                raise InputError(f"{owner}: its uvs have the shape {uvs.shape}, where (uv points, 2) belongs.")
-            uv_faces = checked_faces(owner, self.uv_faces, len(uvs), "uv_faces")
-            if len(uv_faces) != len(checked["faces"]):
-                raise InputError(f"{owner}: it has {len(uv_faces)} uv_faces for {len(checked['faces'])} faces.")
+            uvs, uv_faces = checked_uvs(owner, self.uvs, self.uv_faces, len(checked["faces"]))
             checked |= {"uvs": uvs, "uv_faces": uv_faces}
         for name, array in checked.items():
             object.__setattr__(self, name, array)

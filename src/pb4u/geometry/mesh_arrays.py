@@ -72,6 +72,27 @@ def checked_faces(owner: str, faces: ArrayLike, count: int, what: str = "faces")
     return array.astype(np.int64, copy=False)
 
 
+def checked_uvs(owner: str, uvs: ArrayLike, uv_faces: ArrayLike, faces: int) -> tuple[np.ndarray, np.ndarray]:
+    """UV points (uv points, 2) and the corners of faces among them, (faces, 3) int64.
+
+    Args:
+        owner: what they belong to, for the message.
+        uvs: array or lists of that shape.
+        uv_faces: array or lists of that shape.
+        faces: number of faces.
+
+    Raises:
+        InputError: another shape, no whole numbers, or a point that is not there.
+    """
+    points = as_numbers(owner, "uvs", uvs)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise InputError(f"{owner}: its uvs have the shape {points.shape}, where (uv points, 2) belongs.")
+    corners = checked_faces(owner, uv_faces, len(points), "uv_faces")
+    if len(corners) != faces:
+        raise InputError(f"{owner}: it has {len(corners)} uv_faces for {faces} faces.")
+    return points, corners
+
+
 def checked_places(owner: str, what: str, places: ArrayLike, rows: int, count: int) -> np.ndarray:
     """Places (rows,) int64 in a list.
 

@@ -130,10 +130,10 @@ def _collar(draft: Draft, neck: Point, throat: Point, nape: Point) -> None:
     )  # fmt: skip
     draft.cut(
         "fall_front", ("stand", (0.004, stand)), ("side", (front - 0.006, stand)),
-        ("end", (front + 0.012, stand + fall)), ("front", (-0.012, stand + fall + point)), depth=0.1, label=FALL, **at,
+        ("end", (front + 0.02, stand + fall)), ("front", (-0.02, stand + fall + point)), depth=0.1, label=FALL, **at,
     )  # fmt: skip
     draft.cut(
-        "fall_back", ("stand", (0.0, stand)), ("side", (back - 0.004, stand)), ("end", (back + 0.014, stand + fall)),
+        "fall_back", ("stand", (0.0, stand)), ("side", (back - 0.004, stand)), ("end", (back + 0.02, stand + fall)),
         (FOLD, (0.0, stand + fall)), depth=-0.1, label=FALL, place=nape,
     )  # fmt: skip
     draft.sew(
