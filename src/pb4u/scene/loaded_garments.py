@@ -12,6 +12,7 @@
 6. **Check**: what the body does not wear is refused or told of, and limbs that go through the cloth go inside it.
 7. **Grain**: of what has none of its own, that which is given, or that of UVs in metres, those of its author's mesh.
 8. **Parts**: fabrics, further layers, interfacing and elastic on pieces that its source names and bands along borders.
+9. **Button**: vertices of an open front are sewn together, once its parts are found by that front.
    Built-in garments that are cut flat have some of their own, and elastic in the place of pins at a waist.
 
 Without a body a garment is used as its file has it: what is made on a body is refused, and the rest is not compared
@@ -47,7 +48,7 @@ from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
 from pb4u.garment.source_map import remeshed
 from pb4u.garment.support import Support, find_support
-from pb4u.garment.tacks import tacked
+from pb4u.garment.tacks import buttoned, tacked
 from pb4u.garment.texture import textured
 from pb4u.geometry.appearance import read_image
 from pb4u.geometry.mesh_file import MOST_READ
@@ -115,6 +116,7 @@ def load_garment(worn: WornGarment, body: Body, rest_shape: RestShape = Run.rest
     garment = grained(check(garment, body, kind, support, worn.garment), worn.grain)
     materials = {name: _material(each) for name, each in worn.materials.items() if name != REST}
     garment = with_parts(garment, materials, worn.band_width, worn.layers, worn.interfacing, worn.elastic)
+    garment = buttoned(garment, worn.buttons)
     if not garment.has_grain and any(each.has_grain for each in garment.materials or (garment.material,)):
         warn(
             f"{garment.name} has no grain, so its cloth is the same in all directions; --grain 0,1,0 makes its warp "
