@@ -52,7 +52,8 @@ class Buttons(NamedTuple):
         rim = np.cos(turn) * side + np.sin(turn) * np.cross(up, side)
         spokes = np.concatenate([np.zeros_like(up), rim], axis=1)
         points = cloth[self.vertices][:, None] + _ABOVE * up + _RADIUS * spokes
-        leaning = (up + _DOME * spokes) / np.linalg.norm(up + _DOME * spokes, axis=2, keepdims=True)
+        leaning = up + _DOME * spokes
+        leaning /= np.maximum(np.linalg.norm(leaning, axis=2, keepdims=True), 1e-9)
         return points.reshape(-1, 3), leaning.reshape(-1, 3)
 
 
@@ -65,8 +66,7 @@ def buttons_on(header: TrajectoryHeader, parts: Sequence[ClothPart]) -> list[But
     """
     if header.buttons is None:
         return []
-    listed = []
-    left = np.asarray(header.buttons)
+    listed, left = [], np.asarray(header.buttons)
     for part in parts:
         is_on = np.isin(left, header.faces[part.faces])
         red, green, blue = (THREAD * share for share in part.colour)

@@ -86,7 +86,7 @@ class Parts:
 
     @cached_property
     def open_front(self) -> np.ndarray:
-        """Edges (edges, 2) int64 of the border round an open front, the cloth to their left; none where it is closed."""
+        """Edges (edges, 2) int64 of the border round an open front; none where it is closed."""
         vertices, loops = self._garment.vertices, self._garment.topology.boundary_loops
         around = [loop for loop, beside in zip(loops, self._beside, strict=True) if not beside]
         top = max(around, key=lambda loop: vertices[loop, 1].max(), default=np.zeros(0, dtype=np.int64))

@@ -116,8 +116,8 @@ def _joined(garment: Garment, faces: np.ndarray, name: np.ndarray) -> Garment:
     if skinning is not None:
         skinning = skinning.at(np.repeat(first[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (count, 1)))
     return replace(
-        garment, vertices=vertices, faces=faces, pinned=pinned, source=garment.source or _source_of(garment), coarse_edges=(),
-        skinning=skinning, rest_uv=garment.rest_shape, grainless=not garment.has_grain,
+        garment, vertices=vertices, faces=faces, pinned=pinned, source=garment.source or _source_of(garment),
+        coarse_edges=(), skinning=skinning, rest_uv=garment.rest_shape, grainless=not garment.has_grain,
     )  # fmt: skip
 
 
