@@ -43,7 +43,7 @@ from pb4u.garment.layering import worn_order
 from pb4u.garment.library import DICTIONARIES, LEVELS, SEWN, RestShape, build_garment, garment_names
 from pb4u.garment.limbs_inside import with_limbs_inside
 from pb4u.garment.material import Material, load_material
-from pb4u.garment.parts import BORDER, WAIST, with_parts
+from pb4u.garment.parts import BORDER, WAIST, Parts, with_parts
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
 from pb4u.garment.source_map import remeshed
@@ -124,6 +124,20 @@ def load_garment(worn: WornGarment, body: Body, rest_shape: RestShape = Run.rest
             InputNote,
         )
     return garment if worn.texture is None else textured(garment, read_image(Path(worn.texture)))
+
+
+def fabrics_of_parts(name: str, garment: Garment) -> dict[str, str | None]:
+    """The parts of a garment that may have a material of their own, and the fabric that each is made of.
+
+    Args:
+        name: built-in name or file.
+        garment: as it is read of that.
+
+    Returns:
+        By name, None for what is of the same cloth as the rest.
+    """
+    own = _banded(WornGarment(name)).materials
+    return {part: None if part not in own else str(own[part]) for part in Parts(garment).names}
 
 
 def _banded(worn: WornGarment) -> WornGarment:
