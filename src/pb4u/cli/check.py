@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from pathlib import Path
 from typing import Annotated, Any
@@ -184,8 +185,9 @@ def _check_garment(name: str, figure: Any, body: str, triangles: int | None, fix
     source = read_source(Path(name))
     found = {"name": name, **diagnose(source, figure, name, body).to_json(), **unmended, "parts": {}}
     if not found["refused"]:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what is odd about the file is among the findings
+        # What is odd about the file, or cannot be simulated as it is, is among the findings.
+        with warnings.catch_warnings(), contextlib.suppress(InputError):
+            warnings.simplefilter("ignore")
             found["parts"] = fabrics_of_parts(name, _placed(name, figure, None))
     if fix is not None:
         mended, changes, left = repair(source, figure)
