@@ -44,6 +44,7 @@ class PB4U_PT_garments(_Panel):
         entry = settings.garments[settings.active_garment]
         box = layout.box()
         box.prop(entry, "material")
+        box.prop(entry, "parts")
         row = box.row(heading="Remesh")
         row.prop(entry, "own_triangles", text="")
         part = row.row()

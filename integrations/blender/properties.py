@@ -34,6 +34,11 @@ class GarmentEntry(bpy.types.PropertyGroup):
         search=_suggested("materials"),
         search_options={"SUGGESTION"},
     )
+    parts: bpy.props.StringProperty(
+        name="Parts",
+        description="Materials of bands along its borders (hem, waist, cuff, collar, border), such as "
+        "hem=denim, collar=rib; empty for none",
+    )
     own_triangles: bpy.props.BoolProperty(
         name="Triangles",
         description="Simulate an even mesh of this many triangles; otherwise the garment's own faces",
@@ -115,7 +120,7 @@ def entry_values(entry, files, first_frame):
     pinned = files.pins is not None
     return {
         "garment": f"./{files.mesh.name}",
-        "material": _file_or_name(entry.material),
+        "material": _material(entry),
         "triangles": entry.triangles if entry.own_triangles else None,
         "pins": None if files.pins is None else f"./{files.pins.name}",
         "pin_stiffness": entry.pin_stiffness if pinned and entry.springs else None,
@@ -137,6 +142,18 @@ def run_values(settings):
         "time_integration": "auto",
         "air": "auto",
     }
+
+
+def _material(entry):
+    """Material of a garment, or a table of them by part where parts have their own; what is left is its body."""
+    whole = _file_or_name(entry.material)
+    pairs = [[word.strip() for word in each.partition("=")] for each in entry.parts.split(",") if each.strip()]
+    if any(not part or not material for part, _, material in pairs):
+        raise PlainError(f"Parts are PART=MATERIAL, separated by commas, such as hem=denim, not {entry.parts}.")
+    parts = {part: _file_or_name(material) for part, _, material in pairs}
+    if not parts:
+        return whole
+    return parts if whole is None else {"body": whole, **parts}
 
 
 def _file_or_name(value):

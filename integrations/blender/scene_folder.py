@@ -116,6 +116,8 @@ def write_scene(
 def _toml(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_toml(key)} = {_toml(each)}" for key, each in value.items()) + " }"
     if isinstance(value, Path):
         return json.dumps(value.as_posix(), ensure_ascii=False)
     return json.dumps(value, ensure_ascii=False)

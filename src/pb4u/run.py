@@ -77,6 +77,7 @@ class WornGarment:
         texture: Image laid on the garment by its UVs, or from front and back where it has none. Default: the images
             and colours of its own file (OBJ with MTL, glTF).
         tacks: Pairs A:B of vertices that are sewn together, counted from 0 in the author's mesh.
+        buttons: Buttons that close it in front, at even distances along the borders that face each other there.
         tucked: Whether it is tucked into the trousers or the skirt, wherever it stands in the order.
         grain: Direction X,Y,Z of the warp where it is worn at rest, such as 0,1,0, on to each face. Default: that of
             its panels, or of UVs in metres; else its cloth is the same in all directions.
@@ -104,6 +105,7 @@ class WornGarment:
     triangles: Annotated[int | None, Flag(GARMENT, "[NAME=]N", label="triangles_asked", form="Triangles")] = None
     texture: Annotated[str | Path | None, Flag(GARMENT, "[NAME=]FILE", is_file=True)] = None
     tacks: Annotated[Sequence[tuple[int, int]], Flag(GARMENT, "[NAME=]A:B")] = ()
+    buttons: Annotated[int | None, Flag(GARMENT, "[NAME=]N", least=1, most=100)] = None
     tucked: Annotated[bool, Flag(GARMENT, form="Tucked in")] = False
     grain: Annotated[tuple[float, float, float] | None, Flag(GARMENT, "[NAME=]X,Y,Z")] = None
     pin_stiffness: Annotated[float | None, Flag(GARMENT, "[NAME=]K", least=1, most=10_000_000)] = None

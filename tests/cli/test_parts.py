@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from tests.garment.cloth_shapes import CLOTH
+from tests.pattern.patterns import skirt as pattern_of_a_skirt
 
 import pb4u as package
 from pb4u.body.library import load_body
@@ -18,6 +19,8 @@ from pb4u.garment.library import build_garment
 from pb4u.garment.material import FABRICS, MATERIALS
 from pb4u.geometry.obj_file import read_obj
 from pb4u.measures.metrics import garments_of
+from pb4u.pattern.dressing import dress
+from pb4u.pattern.files import write_worn
 from pb4u.run import Run, WornGarment
 from pb4u.scene.loaded_garments import load_garment
 from pb4u.scene.trajectory import Trajectory
@@ -170,3 +173,57 @@ def test_primitives_of_gltf_are_parts_by_material_or_mesh(skirt: Path, tmp_path:
     garment = load_garment(WornGarment(tmp_path / "two.gltf", pins="none"), None)
     assert set(garment.parts) == {"ribbon", "cloth"}
     assert np.array_equal(garment.parts["ribbon"], ~garment.parts["cloth"])
+
+
+def test_check_tells_parts_that_simulate_takes(pb4u: Callable, skirt: Path, tmp_path: Path) -> None:
+    ended = pb4u("check", skirt, "--json", tmp_path / "found.json")
+    assert ended.code == 0, ended.err
+    assert "cloth, waistband, waist, hem, border" in ended.out
+    told = json.loads((tmp_path / "found.json").read_text())["garment"]["parts"]
+    assert told == dict.fromkeys(["cloth", "waistband", "waist", "hem", "border"])
+    flags = ("--material", "two.waistband=denim", "--material", "two.hem=wool")
+    ended = pb4u("simulate", "--garment", skirt, *flags, *SMALL, "--out", tmp_path / "a.npz")
+    assert ended.code == 0, ended.err
+    ended = pb4u("check", "tshirt", "--triangles", 2500, "--json", "-")
+    assert json.loads(ended.out)["garment"]["parts"] == {"collar": "rib", "hem": None, "cuff": None, "border": None}
+
+
+def test_info_tells_fabrics_of_a_trajectory(pb4u: Callable, skirt: Path, tmp_path: Path) -> None:
+    (tmp_path / "felt.json").write_text('{"density": 0.33, "lame_mu": 2e4, "lame_lambda": 3e4, "bending": 1e-4}')
+    flags = ("--material", "silk", "--material", "two.waistband=denim")
+    flags += (
+        "--material",
+        f"two.hem={tmp_path / 'felt.json'}",
+        "--material",
+        "cardigan=wool",
+        "--buttons",
+        "cardigan=4",
+    )
+    garments = ("--garment", skirt, "--garment", "cardigan", "--triangles", "cardigan=900")
+    ended = pb4u("simulate", *garments, *flags, *SMALL, "--out", tmp_path / "a.npz")
+    assert ended.code == 0, ended.err
+    ended = pb4u("info", "--trajectory", tmp_path / "a.npz", "--json", tmp_path / "told.json")
+    assert ended.code == 0, ended.err
+    assert "4 buttons" in ended.out
+    two, cardigan = json.loads((tmp_path / "told.json").read_text())["garments"]
+    assert (two["buttons"], cardigan["buttons"], cardigan["fabrics"]) == (0, 4, {"wool": 1.0})
+    assert list(two["fabrics"]) == ["silk", "denim", "another of 0.33 kg/m2"]
+    assert sum(two["fabrics"].values()) == pytest.approx(1.0, abs=1e-3)
+    (tmp_path / "no.npz").write_text("no")
+    assert pb4u("info", "--trajectory", tmp_path / "no.npz").code == 1
+
+
+def test_a_panel_of_a_pattern_has_a_fabric_of_its_own(pb4u: Callable, tmp_path: Path) -> None:
+    body = load_body("woman")
+    write_worn(tmp_path / "sewn.npz", dress(pattern_of_a_skirt(), body, 300), body)
+    flags = ("--material", "sewn=silk", "--material", "sewn.front left=denim")
+    ended = pb4u("simulate", "--garment", tmp_path / "sewn.npz", *flags, *SMALL, "--out", tmp_path / "a.npz")
+    assert ended.code == 0, ended.err
+    ended = pb4u("info", "--trajectory", tmp_path / "a.npz", "--json", "-")
+    (told,) = json.loads(ended.out)["garments"]
+    assert told["panels"] == ["front left", "back left", "front right", "back right"]
+    areas = {panel.name: abs(panel.area) for panel in pattern_of_a_skirt().panels}
+    share = areas["front left"] / sum(areas.values())
+    assert told["fabrics"] == pytest.approx({"silk": 1.0 - share, "denim": share}, abs=1e-3)
+    ended = pb4u("check", tmp_path / "sewn.npz", "--json", "-")
+    assert {*areas, "hem"} <= {*json.loads(ended.out)["garment"]["parts"]}

@@ -195,6 +195,7 @@ settings.active_garment = 1
 bpy.ops.pb4u.move_garment(step=-1)
 settings.garments[0].own_triangles, settings.garments[0].triangles = True, 600
 settings.garments[0].material, settings.garments[1].material = "denim", "silk"
+settings.garments[1].parts = "hem=denim, waist = rib"
 bpy.ops.pb4u.simulate()
 seen["status"] = settings.status
 seen["order"] = [entry.object.name for entry in settings.garments]
@@ -208,7 +209,7 @@ np.savez(FOLDER / "shown.npz", **{each.name: [world(each, t) for t in range(1, 5
     worn = Run.open(files / "scene.toml").garments
     assert [(each.name, each.material, each.triangles) for each in worn] == [
         ("In_ner", "denim", 600),
-        ("Skirt", "silk", None),
+        ("Skirt", {"body": "silk", "hem": "denim", "waist": "rib"}, None),
     ]
     command = (tmp_path / "pb4u", "simulate", files / "scene.toml", "--out", tmp_path / "own.npz")
     subprocess.run([*command, "--live", tmp_path / "own"], check=True, capture_output=True)

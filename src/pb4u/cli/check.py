@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from pathlib import Path
 from typing import Annotated, Any
@@ -174,13 +175,20 @@ def _check_garment(name: str, figure: Any, body: str, triangles: int | None, fix
     from pb4u.garment.garment_file import read_source
     from pb4u.garment.repair import repair
     from pb4u.geometry.obj_file import left_out, write_obj
+    from pb4u.scene.loaded_garments import fabrics_of_parts
 
     unmended: dict[str, Any] = {"mended": [], "left": [], "remaining": None}
     if not _is_mesh(name):
         made = _placed(name, figure, triangles)
-        return {"name": name, **diagnose(made, figure, name, body).to_json(), **unmended}
+        found = {"name": name, **diagnose(made, figure, name, body).to_json(), **unmended}
+        return found | {"parts": fabrics_of_parts(name, made)}
     source = read_source(Path(name))
-    found = {"name": name, **diagnose(source, figure, name, body).to_json(), **unmended}
+    found = {"name": name, **diagnose(source, figure, name, body).to_json(), **unmended, "parts": {}}
+    if not found["refused"]:
+        # What is odd about the file, or cannot be simulated as it is, is among the findings.
+        with warnings.catch_warnings(), contextlib.suppress(InputError):
+            warnings.simplefilter("ignore")
+            found["parts"] = fabrics_of_parts(name, _placed(name, figure, None))
     if fix is not None:
         mended, changes, left = repair(source, figure)
         if lost := left_out(Path(name), source) if Path(name).suffix.lower() == ".obj" else []:
@@ -224,6 +232,9 @@ def _lines(garment: dict[str, Any], fix: Path | None, body: str) -> list[str]:
     if fix is None:
         lines = [f"{finding['severity']}: {told(finding)}" for finding in garment["findings"]]
         lines += [] if garment["held_by"] is None else [f"held up by its {garment['held_by']}."]
+        if garment["parts"]:
+            parts = [part if fabric is None else f"{part} ({fabric})" for part, fabric in garment["parts"].items()]
+            lines.append(f"parts, for `--material NAME.PART=MATERIAL`: {', '.join(parts)}.")
         if any(finding["mendable"] for finding in garment["findings"]):
             lines.append(f"To mend what is safe to mend: {command}.")
         return lines if garment["findings"] else [f"{garment['name']}: nothing to mend.", *lines]

@@ -1,10 +1,11 @@
-"""`pb4u info`: versions, device, threads, optional parts."""
+"""`pb4u info`: versions, device, threads, optional parts; what a network is, and what is in a trajectory."""
 
 from __future__ import annotations
 
 import platform
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -26,11 +27,16 @@ _OF_EXTRAS = {"ffmpeg": ' (H.264 videos; its program is under the GPL, so "all" 
 
 
 @verb()
-def info(model: Annotated[str | None, typer.Option(metavar="NAME|FILE")] = None, json: JsonFlag = None) -> None:
+def info(
+    model: Annotated[str | None, typer.Option(metavar="NAME|FILE")] = None,
+    trajectory: Annotated[Path | None, typer.Option(metavar="FILE.npz")] = None,
+    json: JsonFlag = None,
+) -> None:
     """Show versions, the device, threads and which optional parts are installed.\f
 
     Args:
         model: Also describe a network: what it is, its size, training and licence.
+        trajectory: Also tell the garments of a trajectory, and the fabrics that each is made of.
         json: file for the result.
     """
     check_json_target(json)
@@ -38,6 +44,8 @@ def info(model: Annotated[str | None, typer.Option(metavar="NAME|FILE")] = None,
     if model is not None:
         found["model"], described = describe_model(model)
         found |= described
+    if trajectory is not None:
+        found["garments"] = describe_trajectory(trajectory)
     write_json(found, json)
     if json == "-":
         return
@@ -46,6 +54,8 @@ def info(model: Annotated[str | None, typer.Option(metavar="NAME|FILE")] = None,
 
     table = Table(show_header=False, box=None, pad_edge=False)
     for key, value in found.items():
+        if key == "garments":
+            value = [_told(garment) for garment in value]
         if isinstance(value, list):
             value = "\n".join(value) or "in nothing"
         if isinstance(value, dict):
@@ -97,6 +107,48 @@ def describe_model(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
         "optimiser steps": checkpoint.record.optimiser_steps,
         "time step [s]": checkpoint.record.dt,
     }, description(checkpoint)
+
+
+def describe_trajectory(path: Path) -> list[dict[str, Any]]:
+    """Each garment of a trajectory: name, triangles, shares of its area by fabric, panels and number of buttons.
+
+    Args:
+        path: of the .npz.
+
+    Raises:
+        InputError: it is no trajectory.
+    """
+    from pb4u.garment.material import FABRICS, MATERIALS
+    from pb4u.measures.metrics import garments_of
+    from pb4u.scene.trajectory import Trajectory
+
+    opened = Trajectory.open(path)
+    names = {material: name for name, material in [*FABRICS.items(), *MATERIALS.items()]}
+    buttons = opened.header.buttons
+    of_garment = [] if buttons is None else opened.header.vertex_garment[buttons].tolist()
+    listed = []
+    for number, (garment, entry) in enumerate(zip(garments_of(opened), opened.header.garments, strict=True)):
+        layers = garment.layers / garment.layers.sum(axis=1, keepdims=True)
+        fabrics: dict[str, float] = {}
+        for material, share in zip(garment.materials or (garment.material,), layers.T, strict=True):
+            name = names.get(material, f"another of {material.density:g} kg/m2")
+            area = float(garment.face_areas @ share / garment.face_areas.sum())
+            if area > 0.0:
+                fabrics[name] = round(fabrics.get(name, 0.0) + area, 4)
+        listed.append(
+            {
+                "name": garment.name, "triangles": len(garment.faces), "fabrics": fabrics,
+                "panels": entry.get("panels", []), "buttons": of_garment.count(number),
+            }
+        )  # fmt: skip
+    return listed
+
+
+def _told(garment: dict[str, Any]) -> str:
+    fabrics = sorted(garment["fabrics"].items(), key=lambda each: -each[1])
+    told = f"{garment['name']}: {garment['triangles']} triangles of " + ", ".join(f"{n} {s:.0%}" for n, s in fabrics)
+    told += f"; panels {', '.join(garment['panels'])}" if garment["panels"] else ""
+    return told + (f"; {garment['buttons']} buttons" if garment["buttons"] else "")
 
 
 def _version(package: str) -> str:

@@ -100,6 +100,9 @@ def _piece(header: TrajectoryHeader, k: int, name: str, vertices: slice) -> Piec
         points = np.unique(np.r_[header.uv_faces[faces].ravel(), outlines.uv_corners[corners]])
         uvs, uv_faces = uvs[points], np.searchsorted(points, header.uv_faces[faces])
         uv_corners = np.searchsorted(points, outlines.uv_corners[corners])
+    buttons = header.buttons
+    if buttons is not None:
+        buttons = buttons[(buttons >= first) & (buttons < vertices.stop)] - first
     own = Polygons(outlines.sizes[polygons], outlines.corners[corners] - first, uv_corners)
     described = header.garments[k] | {"vertices": [0, size], "triangles": [0, len(faces)]}
     alone = replace(
@@ -115,6 +118,7 @@ def _piece(header: TrajectoryHeader, k: int, name: str, vertices: slice) -> Piec
         rest_uv=None if header.rest_uv is None else header.rest_uv[faces],
         material_layers=None if header.material_layers is None else header.material_layers[faces],
         trims=None if header.trims is None else header.trims[faces],
+        buttons=buttons,
         polygons=None if header.polygons is None else own,
         appearances=None if header.appearances is None else header.appearances.at(faces),
     )

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pb4u.errors import InputError, warn
 from pb4u.geometry.appearance import Appearances
@@ -118,12 +119,13 @@ def on_source(trajectory: Trajectory) -> Trajectory:
         return trajectory
     on_mesh, owners = source_motion(trajectory.header), source_garments(trajectory.header)
     beneath, layers = track.triangle[track.faces[:, 0]], trajectory.header.material_layers
-    trims = trajectory.header.trims
+    trims, buttons = trajectory.header.trims, trajectory.header.buttons
+    rest = on_mesh(trajectory.header.rest_positions[None])[0]
     header = replace(
         trajectory.header,
         metadata=_counted_anew(trajectory.header, owners, beneath),
         faces=track.faces,
-        rest_positions=on_mesh(trajectory.header.rest_positions[None])[0],
+        rest_positions=rest,
         pinned=trajectory.header.pinned[trajectory.faces[track.triangle]].all(axis=1),
         vertex_garment=owners,
         uvs=track.uvs,
@@ -135,6 +137,7 @@ def on_source(trajectory: Trajectory) -> Trajectory:
         material_layers=None if layers is None else layers[beneath],
         # What elastic gathers is not gathered at rest on the author's mesh.
         trims=None if trims is None else np.column_stack([trims[beneath, 0], np.ones(len(beneath))]),
+        buttons=None if buttons is None else cKDTree(rest).query(trajectory.header.rest_positions[buttons])[1],
     )
     return Trajectory(header, on_mesh(trajectory.positions), on_mesh(trajectory.velocities), trajectory.body_positions)
 

@@ -20,7 +20,10 @@ HEM = 0.02
 """Distance [m] of a hem's stitches from the edge of the cloth, on the rest shape; as usual on shirts."""
 _SAMPLED = 0.005
 
-_EDGE, _STITCH = (0.005, 0.75), (0.0015, 0.6)
+THREAD = 0.6
+"""Colour of thread over that of the cloth."""
+
+_EDGE, _STITCH = (0.005, 0.75), (0.0015, THREAD)
 """Width [m] of turned edges and of stitches, and their colour over that of the cloth."""
 
 ABOVE = 0.001

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from pb4u.errors import Pb4uError
+from pb4u.export.buttons import Buttons, buttons_on
 from pb4u.export.camera import FIELD_OF_VIEW, Camera
 from pb4u.export.drawn_cloth import DrawnCloth
 from pb4u.export.finite_frames import held_frames
@@ -30,6 +31,7 @@ _FOOT_HEIGHT = 0.12
 """Of an adult's foot, ankle included [m]: what lies that low shades the ground."""
 
 _MATT: dict[str, Any] = {"ambient": 0.20, "diffuse": 0.92, "interpolation": "Phong"}
+_BUTTON_GLOSS = 0.3
 _SHARPNESS = 10.0
 """Exponent of what shines."""
 
@@ -66,6 +68,7 @@ class StillRenderer:
         self._light()
         self._add_ground()
         lines = self._drawn.lines(lines)
+        self._buttons = [self._add_buttons(each) for each in buttons_on(trajectory.header, parts)]
         self._lines = [self._add_lines(lines.at(lines.width == width), parts) for width in np.unique(lines.width)]
 
     def _add_cloth(self, parts: list[ClothPart]) -> list[tuple[pyvista.PolyData, np.ndarray]]:
@@ -148,6 +151,11 @@ class StillRenderer:
         self._plotter.add_mesh(mesh, scalars="colours", rgb=True, line_width=width, **_MATT)
         return mesh, lines
 
+    def _add_buttons(self, buttons: Buttons) -> tuple[pyvista.PolyData, Buttons]:
+        """Buttons of one colour, on cloth that lies anywhere."""
+        nowhere = np.zeros((len(self._trajectory.header.rest_positions), 3))
+        return self._add(buttons.at(nowhere, nowhere)[0], buttons.faces, buttons.colour, _BUTTON_GLOSS), buttons
+
     def _light(self) -> None:
         import pyvista
 
@@ -190,6 +198,8 @@ class StillRenderer:
         for mesh, lines in self._lines:
             on_lines = lines.of(normals)
             _move(mesh, lines.of(cloth) + ABOVE * on_lines, on_lines)
+        for mesh, buttons in self._buttons:
+            _move(mesh, *buttons.at(cloth, normals))
         if self._body is not None:
             points = trajectory.body_positions[t]
             outward = _normals(points, trajectory.header.body_faces)

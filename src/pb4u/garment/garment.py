@@ -123,6 +123,7 @@ class Garment:
         springs: on which its pins are held; None where they hold exactly, and always.
         pressed: (faces,) bool, faces that are pressed over: along edges between them and others cloth bends as good as
             freely; None for none.
+        buttons: (buttons,) int64 vertices that buttons close; None for none.
 
     Raises:
         InputError: an array has another shape, or holds what cannot be used. Lists are taken for arrays.
@@ -151,6 +152,7 @@ class Garment:
     piece_of_face: np.ndarray | None = None
     springs: PinSprings | None = None
     pressed: np.ndarray | None = None
+    buttons: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         owner = f"garment {self.name}"

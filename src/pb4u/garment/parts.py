@@ -85,32 +85,47 @@ class Parts:
         return self._garment.parts
 
     @cached_property
+    def open_front(self) -> np.ndarray:
+        """Edges (edges, 2) int64 of the border round an open front; none where it is closed."""
+        vertices, loops = self._garment.vertices, self._garment.topology.boundary_loops
+        around = [loop for loop, beside in zip(loops, self._beside, strict=True) if not beside]
+        top = max(around, key=lambda loop: vertices[loop, 1].max(), default=np.zeros(0, dtype=np.int64))
+        if not len(top) or np.ptp(vertices[top, 1]) <= _OPEN * np.ptp(vertices[:, 1]):
+            return np.zeros((0, 2), dtype=np.int64)
+        return np.column_stack([top, np.roll(top, -1)])
+
+    @cached_property
+    def _beside(self) -> np.ndarray:
+        """Which (borders,) bool of its borders lie beside its middle, as those round limbs do."""
+        across = self._garment.vertices[:, 0]
+        middle, half = 0.5 * (across.min() + across.max()), 0.5 * np.ptp(across)
+        loops = self._garment.topology.boundary_loops
+        return np.array([abs(across[loop].mean() - middle) > _BESIDE * half for loop in loops], dtype=bool)
+
+    @cached_property
     def borders(self) -> dict[str, np.ndarray]:
         """Edges (edges, 2) int64 of its borders by the name of their band."""
         loops = self._garment.topology.boundary_loops
         if not loops:
             return {}
         edges, vertices = [np.column_stack([loop, np.roll(loop, -1)]) for loop in loops], self._garment.vertices
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        tall, middle, half = high[1] - low[1], 0.5 * (low[0] + high[0]), 0.5 * (high[0] - low[0])
+        lowest_end, tall = vertices[:, 1].min(), np.ptp(vertices[:, 1])
         level = np.array([vertices[loop, 1].mean() for loop in loops])
-        beside = np.array([abs(vertices[loop, 0].mean() - middle) > _BESIDE * half for loop in loops])
-        around, limbs = np.flatnonzero(~beside), np.flatnonzero(beside)
+        around, limbs, front = np.flatnonzero(~self._beside), np.flatnonzero(self._beside), self.open_front
         found: dict[str, list[np.ndarray]] = {}
         legs = limbs[:0]
         if len(around):
             top = max(around, key=lambda k: vertices[loops[k], 1].max())
-            is_open = np.ptp(vertices[loops[top], 1]) > _OPEN * tall
-            if len(around) == 1 and not is_open:
+            if len(around) == 1 and not len(front):
                 reach = np.array([vertices[loop, 1].min() for loop in loops])
-                legs = limbs[reach[limbs] < low[1] + _LEGS * tall]
+                legs = limbs[reach[limbs] < lowest_end + _LEGS * tall]
             upper = "waist" if len(legs) == len(limbs) else "collar"
-            if is_open:
-                ends = vertices[edges[top]]
+            if len(front):
+                ends = vertices[front]
                 heights, ways = ends[..., 1].mean(axis=1), ends[:, 1] - ends[:, 0]
                 is_level = np.abs(ways[:, 1]) < 0.5 * np.linalg.norm(ways, axis=1)
-                found[upper] = [edges[top][heights > heights.max() - _END * tall]]
-                found["hem"] = [edges[top][(heights < heights.min() + _END * tall) & is_level]]
+                found[upper] = [front[heights > heights.max() - _END * tall]]
+                found["hem"] = [front[(heights < heights.min() + _END * tall) & is_level]]
             else:
                 found[upper] = [edges[top]]
                 lowest = around[level[around].argmin()]

@@ -12,6 +12,7 @@
 6. **Check**: what the body does not wear is refused or told of, and limbs that go through the cloth go inside it.
 7. **Grain**: of what has none of its own, that which is given, or that of UVs in metres, those of its author's mesh.
 8. **Parts**: fabrics, further layers, interfacing and elastic on pieces that its source names and bands along borders.
+9. **Button**: vertices of an open front are sewn together, once its parts are found by that front.
    Built-in garments that are cut flat have some of their own, and elastic in the place of pins at a waist.
 
 Without a body a garment is used as its file has it: what is made on a body is refused, and the rest is not compared
@@ -42,12 +43,12 @@ from pb4u.garment.layering import worn_order
 from pb4u.garment.library import DICTIONARIES, LEVELS, SEWN, RestShape, build_garment, garment_names
 from pb4u.garment.limbs_inside import with_limbs_inside
 from pb4u.garment.material import Material, load_material
-from pb4u.garment.parts import BORDER, WAIST, with_parts
+from pb4u.garment.parts import BORDER, WAIST, Parts, with_parts
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
 from pb4u.garment.source_map import remeshed
 from pb4u.garment.support import Support, find_support
-from pb4u.garment.tacks import tacked
+from pb4u.garment.tacks import buttoned, tacked
 from pb4u.garment.texture import textured
 from pb4u.geometry.appearance import read_image
 from pb4u.geometry.mesh_file import MOST_READ
@@ -115,6 +116,7 @@ def load_garment(worn: WornGarment, body: Body, rest_shape: RestShape = Run.rest
     garment = grained(check(garment, body, kind, support, worn.garment), worn.grain)
     materials = {name: _material(each) for name, each in worn.materials.items() if name != REST}
     garment = with_parts(garment, materials, worn.band_width, worn.layers, worn.interfacing, worn.elastic)
+    garment = buttoned(garment, worn.buttons)
     if not garment.has_grain and any(each.has_grain for each in garment.materials or (garment.material,)):
         warn(
             f"{garment.name} has no grain, so its cloth is the same in all directions; --grain 0,1,0 makes its warp "
@@ -122,6 +124,20 @@ def load_garment(worn: WornGarment, body: Body, rest_shape: RestShape = Run.rest
             InputNote,
         )
     return garment if worn.texture is None else textured(garment, read_image(Path(worn.texture)))
+
+
+def fabrics_of_parts(name: str, garment: Garment) -> dict[str, str | None]:
+    """The parts of a garment that may have a material of their own, and the fabric that each is made of.
+
+    Args:
+        name: built-in name or file.
+        garment: as it is read of that.
+
+    Returns:
+        By name, None for what is of the same cloth as the rest.
+    """
+    own = _banded(WornGarment(name)).materials
+    return {part: None if part not in own else str(own[part]) for part in Parts(garment).names}
 
 
 def _banded(worn: WornGarment) -> WornGarment:

@@ -43,6 +43,7 @@ class TrajectoryHeader:
         material_layers: (faces, materials) float64 number of layers of each of the `materials` in `metadata` on each
             face, in the mean of its area; None where each face is one layer of one.
         trims: (faces, 2) float64 interfacing [N m] and elastic of the faces, as `Trims`; None where there are none.
+        buttons: (buttons,) int64 vertices that buttons close; None where there are none.
     """
 
     faces: np.ndarray
@@ -61,6 +62,7 @@ class TrajectoryHeader:
     appearances: Appearances | None = None
     material_layers: np.ndarray | None = None
     trims: np.ndarray | None = None
+    buttons: np.ndarray | None = None
 
     @staticmethod
     def of(scene: Scene, metadata: dict[str, Any]) -> TrajectoryHeader:
@@ -111,6 +113,7 @@ class TrajectoryHeader:
             appearances=Appearances.joined([g.appearances for g in garments], [len(g.faces) for g in garments]),
             material_layers=_joined_layers(garments),
             trims=_joined_trims(garments),
+            buttons=_joined_buttons(garments, vertices),
         )
 
     @staticmethod
@@ -133,6 +136,7 @@ class TrajectoryHeader:
             members["body_faces"], members["body_contact"], float(members["fps"]), metadata,
             members.get("uvs"), members.get("uv_faces"), source, Polygons.from_members(members), members.get("rest_uv"),
             Appearances.from_members(members), members.get("material_layers"), members.get("trims"),
+            members.get("buttons"),
         )  # fmt: skip
 
     @property
@@ -208,6 +212,11 @@ def _joined_trims(garments: Sequence[Garment]) -> np.ndarray | None:
     if all(garment.trims is None for garment in garments):
         return None
     return np.concatenate([(g.trims or Trims.none(len(g.faces))).columns for g in garments])
+
+
+def _joined_buttons(garments: Sequence[Garment], first_vertices: Sequence[int]) -> np.ndarray | None:
+    of_each = [g.buttons + first for g, first in zip(garments, first_vertices, strict=False) if g.buttons is not None]
+    return np.concatenate(of_each) if of_each else None
 
 
 @dataclass(frozen=True, eq=False)

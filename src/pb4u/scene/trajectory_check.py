@@ -32,6 +32,7 @@ _LAYOUT: Layout = {
     "rest_uv": ("f", ("faces", 3, 2)),
     "material_layers": ("f", ("faces", "materials")),
     "trims": ("f", ("faces", 2)),
+    "buttons": ("iu", ("buttons",)),
     "appearances": ("u", ("appearance bytes",)),
     "appearance_images": ("u", ("image bytes",)),
     "appearance_of_face": ("iu", ("faces",)),
@@ -53,7 +54,7 @@ _LAYOUT: Layout = {
 _POINTS_AT = {
     "faces": "vertices", "body_faces": "body vertices", "uv_faces": "uv points", "polygon_corners": "vertices",
     "polygon_uv_corners": "uv points", "source_triangle": "faces", "source_faces": "source vertices",
-    "source_uv_faces": "source uv points", "source_polygon_corners": "source vertices",
+    "source_uv_faces": "source uv points", "source_polygon_corners": "source vertices", "buttons": "vertices",
     "source_polygon_uv_corners": "source uv points",
 }  # fmt: skip
 """Member of indices -> the count that they stay below."""

@@ -130,6 +130,8 @@ def _header_members(header: TrajectoryHeader) -> dict[str, np.ndarray]:
         members["material_layers"] = header.material_layers.astype(np.float64)
     if header.trims is not None:
         members["trims"] = header.trims.astype(np.float64)
+    if header.buttons is not None:
+        members["buttons"] = header.buttons.astype(np.int64)
     members |= _looks(header, "")
     if header.source is not None:
         members |= {

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pb4u.body.library import body_names
+from pb4u.errors import InputError
 from pb4u.garment.library import LEVELS, garment_names
 from pb4u.garment.material import material_names
 from pb4u.garment.pins import NAMES as PIN_NAMES
 from pb4u.motion.library import motion_names
 from pb4u.options import Entry, described
-from pb4u.run import BODY, MOST_GARMENTS, Run, WornGarment
+from pb4u.run import BODY, MOST_GARMENTS, REST, Run, WornGarment
 from pb4u.scene.moving_body import DEFAULT_FRAMES, DEFAULT_MOTION
 from pb4u.simulation.models import default_model, model_descriptions
 from pb4u.viewer.live_simulation import MOST_REFINING, MOST_TRIANGLES, Ending
@@ -56,6 +57,14 @@ def _values(record: type, controls: Mapping[str, Any], find: Callable[[str, Any]
     return {name: find(name, value) or value for name, value in values.items()}
 
 
+def _of_parts(text: str) -> dict[str, str]:
+    """Materials by part, as they are written into a field."""
+    pairs = [each.partition("=") for each in text.split(",") if each.strip()]
+    if any(not part.strip() or not material.strip() for part, _, material in pairs):
+        raise InputError(f"Fabrics of parts are PART=MATERIAL, separated by commas, such as hem=denim, not {text!r}.")
+    return {part.strip(): material.strip() for part, _, material in pairs}
+
+
 class GarmentControls:
     """Controls of one garment.
 
@@ -79,15 +88,25 @@ class GarmentControls:
         }  # fmt: skip
         with self.folder:
             self.controls = _controls(gui, described(WornGarment).values(), offered)
+            self.parts = gui.add_text(
+                "Fabrics of parts", initial_value="",
+                hint="PART=MATERIAL, separated by commas, such as hem=denim, collar=rib: a band along a border (hem, "
+                "waist, cuff, collar, border), a panel of a pattern, or what a file calls a material.",
+            )  # fmt: skip
 
     def specification(self, find: Callable[[str, str], Path | None]) -> WornGarment:
         """The garment that is filled in; `find` gives the file of a kind and name, if there is one.
 
         Args:
             find: gives the path of a file of a kind and name, or None.
+
+        Raises:
+            InputError: the fabrics of its parts are written otherwise.
         """
         values = _values(WornGarment, self.controls, find)
-        own = {name: None for name in ("material", "pins") if values[name] == _OWN}
+        own: dict[str, Any] = {name: None for name in ("material", "pins") if values[name] == _OWN}
+        if parts := _of_parts(self.parts.value):
+            own["material"] = ({} if "material" in own else {REST: values["material"]}) | parts
         return WornGarment(**{**values, **own, "triangles": values["triangles"] or None})
 
 
