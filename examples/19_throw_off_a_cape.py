@@ -9,45 +9,28 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
+from cloth_scenes import sheet
 
 import pb4u
 from pb4u.body.library import load_boned_body
-from pb4u.garment.material import load_material
 
 LENGTH, UPPER_WIDTH, HEM_WIDTH = 0.95, 0.34, 1.0
 
 
-def cape(body: pb4u.ShapedBody, triangles: int, material: str) -> pb4u.Garment:
+def cape(body: pb4u.Body, triangles: int, material: str) -> pb4u.Garment:
     """A cape of about so many triangles that hangs behind a body, its upper edge across the shoulder blades."""
-    rows = max(4, round((triangles * LENGTH / (UPPER_WIDTH + HEM_WIDTH)) ** 0.5))
-    columns = max(4, round(triangles / (2 * rows)))
-    top, skin = 0.81 * body.height, body.vertices[np.abs(body.vertices[:, 0]) < 0.5 * UPPER_WIDTH]
-    down, across = (
-        part.ravel()
-        for part in np.meshgrid(np.linspace(0, 1, rows + 1), np.linspace(-1, 1, columns + 1), indexing="ij")
-    )
+    middle = 0.5 * (UPPER_WIDTH + HEM_WIDTH)
+    cloth = sheet(middle, LENGTH, triangles, material)
+    # From left to right, so that its outside is behind, and from the shoulders to the hem.
+    across, down = 1.0 - 2.0 * cloth.vertices[:, 0] / middle, 1.0 - cloth.vertices[:, 1] / LENGTH
+    top, back = 0.81 * body.height, body.vertices[np.abs(body.vertices[:, 0]) < 0.5 * UPPER_WIDTH]
+    back = back[back[:, 1] < top]
     heights = top - LENGTH * down
     # Straight down from the rearmost skin at or above each height.
-    rear = np.array(
-        [skin[skin[:, 1] > height - 0.02, 2][skin[skin[:, 1] > height - 0.02, 1] < top].min() for height in heights]
-    )
+    rear = np.array([back[back[:, 1] > height - 0.02, 2].min() for height in heights])
     width = UPPER_WIDTH + (HEM_WIDTH - UPPER_WIDTH) * down
     vertices = np.column_stack([0.5 * width * across, heights, rear - 0.015])
-    i, j = (part.ravel() for part in np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"))
-    a, b = i * (columns + 1) + j, (i + 1) * (columns + 1) + j
-    even = ((i + j) % 2 == 0)[:, None]
-    first = np.where(even, np.column_stack([a, a + 1, b + 1]), np.column_stack([a, a + 1, b]))
-    second = np.where(even, np.column_stack([a, b + 1, b]), np.column_stack([a + 1, b + 1, b]))
-    faces = np.concatenate([first, second])
-    # Outside is behind.
-    faces = faces if _normal(vertices, faces) < 0 else faces[:, ::-1].copy()
-    garment = pb4u.Garment("cape", vertices, faces, load_material(material), loose=True)
-    return garment.with_pins(down == 0.0)
-
-
-def _normal(vertices: np.ndarray, faces: np.ndarray) -> float:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return float(np.cross(b - a, c - a)[:, 2].sum())
+    return pb4u.Garment("cape", vertices, cloth.faces, cloth.material, loose=True).with_pins(down == 0.0)
 
 
 def main() -> None:

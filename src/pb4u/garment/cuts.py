@@ -49,7 +49,7 @@ class Cut:
     Args:
         top: "shoulder" (it hangs from the shoulders) or "waist".
         hem: "crotch", "knee", "calf" or "ankle".
-        fabric: that it wears where none is asked for, a name of `FABRICS`.
+        fabric: that it wears unless a run names another, of `FABRICS`.
         hem_offset: how far above that height it ends [m].
         ease: slack of the torso part at chest (or waist), waist, hip and hem [m].
         taper: how much it may draw in per metre going down, above and below the waist [m/m]; negative: must flare.

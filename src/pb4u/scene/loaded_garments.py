@@ -141,10 +141,10 @@ def fabrics_of_parts(name: str, garment: Garment) -> dict[str, str | None]:
 
 
 def _banded(worn: WornGarment) -> WornGarment:
-    """A built-in garment with the bands that it is cut with, where none are asked for in their place.
+    """A built-in garment with the bands that it is cut with, unless the run names others in their place.
 
-    Elastic takes the place of a pinned waistband, unless pins are asked for. What is made of a material that is asked
-    for has no cloth of other parts.
+    Elastic takes the place of a pinned waistband, unless the run names pins. A garment of a material that the run names
+    has no cloth of other parts.
     """
     cut = CUTS.get(str(worn.garment))
     asked = {*worn.materials, *worn.layers, *worn.interfacing, *worn.elastic}
