@@ -13,7 +13,8 @@ from pb4u.garment.dressing import AttachedPlacement
 from pb4u.geometry.principal_stretch import face_strains
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import free_flight, substep_count
-from pb4u.physics.solver.newton_solver import Solver
+from pb4u.physics.solver.newton_solver import Solution, Solver
+from pb4u.physics.step_potential import StepPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.scene import DressedGarment
 from pb4u.scene.state import State
@@ -128,6 +129,32 @@ def test_cloth_that_bodies_turned_aside_is_solved_anew_and_the_less_strained_kep
     assert record.retried == 1
     assert record.solver_iterations[0] == 7
     assert record.solver_iterations[1] > 2
+
+
+def test_a_few_iterations_from_where_bodies_turned_cloth_aside_come_before_a_retry(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    potential, starts, made = IncrementalPotential().with_self_contact(bodies=True), list[torch.Tensor](), list[int]()
+    step = first_step(4.0, potential)
+    refining = SolverRefinement(potential, 5, retried=lambda solution: made.append(solution.iterations))
+    monkeypatch.setattr(refinement, "_EDGES_IN_A_PART", 1e3)
+    behind = step.reached(free_flight(step))
+    turned = past_bodies(potential.self_contact, step, behind, apart=True).positions
+    solve = refining._pressing.minimise
+
+    def noted(of: StepPotential, start: torch.Tensor, *rest: object, **named: object) -> Solution:
+        starts.append(start)
+        return solve(of, start, *rest, **named)
+
+    monkeypatch.setattr(refining._pressing, "minimise", noted)
+    kept = refining.pressed_past_bodies(step, behind, potential.self_contact)
+    assert torch.equal(starts[0], turned)
+    assert len(starts) == 1 and refinement._failed_faces(step, kept.positions) == 0
+    # Where these leave any face strained, the step is solved from its warm start as well.
+    monkeypatch.setattr(refinement, "_failed_faces", lambda *_: 1)
+    refining.pressed_past_bodies(step, behind, potential.self_contact)
+    assert len(starts) > 2 and not torch.equal(starts[-1], turned)
+    assert len(made) == 2
 
 
 def test_a_retry_goes_in_parts_by_the_edges_of_what_is_strained(monkeypatch: pytest.MonkeyPatch) -> None:

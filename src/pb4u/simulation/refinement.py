@@ -59,7 +59,8 @@ _LEFT_INSIDE = 1e-3
 """Depth [m] from which on a vertex that the response leaves inside the body is pushed out by stiff contact."""
 
 _MOST_PRESSING = 5
-"""Iterations at which that push ends, and from one count of strained faces to the next in a retry."""
+"""Iterations at which that push ends, those that smooth cloth where bodies turned it aside, and from one count of
+strained faces to the next in a retry."""
 
 _PRESSING_WORK = 150_000
 """Iterations times triangles of a retry at most, besides its first few: sixty of 2,500 triangles take a second, and
@@ -126,10 +127,11 @@ class SolverRefinement:
     def pressed_past_bodies(self, step: TimeStep, state: State, self_contact: CollisionFree | None) -> State:
         """`state` moved past the bodies; where they turned strained cloth aside, the step retried with their faces.
 
-        A retry begins at the body-motion warm start: cloth that was turned aside is crumpled, and takes more iterations
-        to smooth than a step takes to solve. Where the body moves by many of its edges, the retry goes in parts. It
-        ends where no face is strained, and where no fewer are than a few iterations before: cloth pressed between two
-        limbs stays strained. Of both states the one with fewer strained faces is kept.
+        Mostly a few iterations from where it was turned aside leave no face strained. Else the step is solved from the
+        body-motion warm start: cloth that is crumpled takes more iterations to smooth than a step takes to solve. Where
+        the body moves by many of its edges, it is solved in parts. It ends where no face is strained, and where no
+        fewer are than a few iterations before: cloth pressed between two limbs stays strained. Of both states the one
+        with fewer strained faces is kept.
 
         Args:
             step: the time step.
@@ -146,17 +148,23 @@ class SolverRefinement:
         failed = _failed_faces(step, reached.positions)
         if not failed:
             return reached
-        pressed, most = self.potential.pressed_by_bodies(), _most_iterations(step)
+        garments, pressed, most = step.garments, self.potential.pressed_by_bodies(), _most_iterations(step)
+        strained = garments.vertex_garment[garments.faces[_are_failed(step, reached.positions), 0]]
+        longest = _EDGES_IN_A_PART * min(garments.mean_edge_lengths[number] for number in set(strained.tolist()))
+        parts = substep_count(step, longest)
+        if parts == 1:
+            smoothed = self._pressing.minimise(pressed.of(step), reached.positions, _MOST_PRESSING)
+            if not _failed_faces(step, smoothed.positions):
+                if self.retried:
+                    self.retried(smoothed)
+                return step.reached(smoothed.positions, smoothed.struck)
 
         def solve(part: TimeStep) -> Solution:
             start = past_bodies(self_contact, part, part.reached(self._warm_start.positions(part)), apart=False)
             smooth = _Smoothing(part, ends=True)
             return self._pressing.minimise(pressed.of(part), start.positions, most, until=smooth.ended)
 
-        garments = step.garments
-        strained = garments.vertex_garment[garments.faces[_are_failed(step, reached.positions), 0]]
-        longest = _EDGES_IN_A_PART * min(garments.mean_edge_lengths[number] for number in set(strained.tolist()))
-        retried, solution = in_parts(step, substep_count(step, longest), solve)
+        retried, solution = in_parts(step, parts, solve)
         if self.retried:
             self.retried(solution)
         return retried if _failed_faces(step, retried.positions) < failed else reached
