@@ -149,11 +149,13 @@ def test_a_few_iterations_from_where_bodies_turned_cloth_aside_come_before_a_ret
     monkeypatch.setattr(refining._pressing, "minimise", noted)
     kept = refining.pressed_past_bodies(step, behind, potential.self_contact)
     assert torch.equal(starts[0], turned)
-    assert len(starts) == 1 and refinement._failed_faces(step, kept.positions) == 0
+    assert len(starts) == 1
+    assert refinement._failed_faces(step, kept.positions) == 0
     # Where these leave any face strained, the step is solved from its warm start as well.
     monkeypatch.setattr(refinement, "_failed_faces", lambda *_: 1)
     refining.pressed_past_bodies(step, behind, potential.self_contact)
-    assert len(starts) > 2 and not torch.equal(starts[-1], turned)
+    assert len(starts) > 2
+    assert not torch.equal(starts[-1], turned)
     assert len(made) == 2
 
 
