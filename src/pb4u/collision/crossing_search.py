@@ -89,7 +89,7 @@ def _touching_faces(
     count = 0
     # Taken once: an array made for every pair would cost more than its numbers.
     work, side, other_side = np.empty((9, 3)), np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
-    leaves = meeting_leaves(boxes, tree, asked, others, np.column_stack((roots, roots)), most, None)
+    leaves = meeting_leaves(boxes, tree, asked, others, np.column_stack((roots, roots)), most)
     for pair in range(len(leaves)):
         a, b = leaves[pair]
         for i in range(ranges[a, 0], ranges[a, 1]):

@@ -1,49 +1,33 @@
-"""Known pairs of near elements that last over moves, and how far vertices strayed from where they were known."""
+"""Known pairs of near elements that last over moves, and which vertices strayed from where they were known."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pb4u.collision.box_tree import Boxes, copy_row, with_room
+from pb4u.collision.box_tree import copy_row, with_room
 from pb4u.collision.element_distance import Reaches, fastest_approach, gather, nearest, reach_of
 from pb4u.collision.jit import compiled
-
-
-class Strayed(NamedTuple):
-    """How far vertices strayed from where pairs were known: what strayed together is left out of a search.
-
-    Args:
-        ends: (vertices, 6) [m] as a move begins and as it ends.
-        boxes: of that [m] of nodes and faces.
-        calm: (vertices of no obstacle,) bool whether all around each strayed together.
-        within: distance [m] up to which two vertices do.
-    """
-
-    ends: np.ndarray
-    boxes: Boxes
-    calm: np.ndarray
-    within: float
+from pb4u.collision.surface_elements import any_corner
 
 
 @dataclass(frozen=True, eq=False)
 class Neighbourhood:
-    """Pairs of elements that may come within a reach on a move, and after it while two corners stray alike.
+    """All pairs of elements that may come within a reach on a move, and after it while no vertex strays from its end.
 
-    What strays alike from the end, by less than twice the room apart, comes no nearer than that: cloth that is carried
-    along keeps its pairs. They are all there are for another move from the same start, too, whose end strays so.
+    A vertex that stays within the room of its end brings a pair nearer by no more than that. They are all there are for
+    another move from the same start, too, that ends so near. Vertices that stray are followed: what is near them is
+    searched for again, and has an end of its own.
 
     Args:
-        start: (vertices, 3) [m] where the move began.
-        end: (vertices, 3) [m] where it led.
+        start: (vertices, 3) [m] where the last move that was followed began.
+        end: (vertices, 3) [m] where each vertex was last followed to.
         reaches: how near they may come.
-        room: half of how far apart [m] two corners may stray from the end.
+        room: how far [m] a vertex may stray from its end.
         corners: (pairs, 4) int64, as those of `ElementPairs`.
         vertex_faces: number of pairs of a vertex and a face, which come first.
-        distances: (pairs,) [m] between them at the end.
+        distances: (pairs,) [m] between them at the ends.
     """
 
     start: np.ndarray
@@ -54,41 +38,48 @@ class Neighbourhood:
     vertex_faces: int
     distances: np.ndarray
 
-    def strayed(
-        self,
-        vertices: np.ndarray,
-        moves: np.ndarray,
-        edges: np.ndarray,
-        fitted: Callable[[np.ndarray, np.ndarray], Boxes],
-    ) -> Strayed:
-        """How far vertices stray from the end on a move; of a move from the same start its end alone matters.
+    def strayed(self, vertices: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Which vertices (vertices,) bool stray on a move, and a move by which the others go as they did before.
+
+        Where that begins (vertices, 3) [m], and the way (vertices, 3) [m] of each: its own where it strays.
 
         Args:
             vertices: (vertices, 3) [m].
             moves: (vertices, 3) [m] from there, linear.
-            edges: (edges, 2) int64 between vertices that are not of obstacles.
-            fitted: gives boxes of the surface's nodes and faces for values (vertices, 3) [m] and their changes.
         """
-        begun, way, ends = _strayed(self.start, self.end, vertices, moves)
-        within, own = 2.0 * self.room, ends[: self.reaches.first_obstacle]
-        # Cloth that slides over a body strays from that, however much it does so as one.
-        calm = _calm(own, edges, within, self.room if len(own) < len(ends) else np.inf)
-        return Strayed(ends, fitted(begun, way), calm, within)
+        found: tuple[np.ndarray, np.ndarray, np.ndarray] = _strayed(self.start, self.end, vertices, moves, self.room)
+        return found
 
-    def near(
-        self, vertices: np.ndarray, moves: np.ndarray, strayed: Strayed, reaches: Reaches
-    ) -> tuple[np.ndarray, int]:
+    def near(self, vertices: np.ndarray, moves: np.ndarray, reaches: Reaches) -> tuple[np.ndarray, int]:
         """Corners of its pairs that may come within their reach, and the number of those of a vertex and a face.
 
         Args:
             vertices: (vertices, 3) [m].
-            moves: (vertices, 3) [m] from there, linear.
-            strayed: how far vertices stray on them; only pairs that stray `together` are looked at.
+            moves: (vertices, 3) [m] from there, linear, on which none strays.
             reaches: how near they have to come.
         """
-        away, pairs = _away(self.end, vertices, moves), (self.corners, self.vertex_faces, self.distances)
-        rows = _stay_near(vertices, moves, *pairs, away, strayed, reaches)
+        pairs = self.corners, self.vertex_faces, self.distances
+        rows = _stay_near(vertices, moves, *pairs, _away(self.end, vertices, moves), reaches)
         return self.corners[rows], int(rows[: self.vertex_faces].sum())
+
+    def followed(self, strayed: np.ndarray, start: np.ndarray, found: Neighbourhood) -> Neighbourhood:
+        """These pairs, with those `found` of the vertices that `strayed` in place of those known of them.
+
+        Args:
+            strayed: (vertices,) bool.
+            start: (vertices, 3) [m] where the move began on which they did.
+            found: all pairs that have one of them.
+        """
+        stay = ~any_corner(self.corners, strayed)
+        first, other = int(stay[: self.vertex_faces].sum()), found.vertex_faces
+        kept, distances = self.corners[stay], self.distances[stay]
+        corners = np.concatenate([kept[:first], found.corners[:other], kept[first:], found.corners[other:]])
+        distances = np.concatenate(
+            [distances[:first], found.distances[:other], distances[first:], found.distances[other:]]
+        )
+        return replace(
+            self, start=start, end=found.end, corners=corners, vertex_faces=first + other, distances=distances
+        )
 
 
 @compiled
@@ -134,90 +125,36 @@ def lasting_pairs(
 
 
 @compiled
-def together(strayed: np.ndarray, one: tuple, other: tuple, within: float) -> bool:
-    """Whether all corners of one element stray no further than `within` [m] apart from all of the other.
-
-    Args:
-        strayed: (vertices, 6) [m] how far, as a move begins and as it ends.
-        one: corners of an element.
-        other: corners of another.
-        within: distance [m].
-    """
-    for v in one:
-        for w in other:
-            begun, ended = 0.0, 0.0
-            for axis in range(3):
-                begun += (strayed[v, axis] - strayed[w, axis]) ** 2
-                ended += (strayed[v, 3 + axis] - strayed[w, 3 + axis]) ** 2
-            if begun > within**2 or ended > within**2:
-                return False
-    return True
-
-
-@compiled
-def boxes_within(boxes: np.ndarray, one: int, other: int, within: float) -> bool:
-    """Whether no point of one box is further than `within` [m] from one of the other, at both ends of their moves.
-
-    Args:
-        boxes: (boxes, 12) [m].
-        one: row of them.
-        other: row of them.
-        within: distance [m].
-    """
-    begun, ended = 0.0, 0.0
-    for axis in range(3):
-        begun += max(boxes[one, 3 + axis] - boxes[other, axis], boxes[other, 3 + axis] - boxes[one, axis]) ** 2
-        ended += max(boxes[one, 9 + axis] - boxes[other, 6 + axis], boxes[other, 9 + axis] - boxes[one, 6 + axis]) ** 2
-    return begun <= within**2 and ended <= within**2
-
-
-@compiled
 def _strayed(
-    start: np.ndarray, end: np.ndarray, vertices: np.ndarray, moves: np.ndarray
+    start: np.ndarray, end: np.ndarray, vertices: np.ndarray, moves: np.ndarray, room: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How far (vertices, 3) [m] vertices are from an `end` as a move begins, how they go on, and both ends of that.
+    """Which vertices (vertices,) bool are further than a `room` [m] from their `end` before or after their moves.
 
-    Of a move from the `start` that led to it, the end alone.
+    Of a move from the `start` the end alone counts. With positions and ways (vertices, 3) [m]: those of the vertices
+    that stray are theirs; the others stand at their end, or go there from the start.
     """
     again = True
     for row in range(len(vertices)):
         for axis in range(3):
-            again = again and start[row, axis] == vertices[row, axis]
-    begun, way, ends = np.empty(vertices.shape), np.empty(vertices.shape), np.empty((len(vertices), 6))
+            again = again and vertices[row, axis] == start[row, axis]
+    strayed, begun, way = np.empty(len(vertices), dtype=np.bool_), np.empty(vertices.shape), np.empty(vertices.shape)
     for row in range(len(vertices)):
+        before, after = 0.0, 0.0
         for axis in range(3):
-            if again:
-                begun[row, axis], way[row, axis] = vertices[row, axis] + moves[row, axis] - end[row, axis], 0.0
+            gone = vertices[row, axis] - end[row, axis]
+            before += gone * gone
+            after += (gone + moves[row, axis]) ** 2
+        # What is near its end all along stands there, whether it began there or not.
+        near = before <= room * room
+        strayed[row] = after > room * room or not (near or again)
+        for axis in range(3):
+            if strayed[row]:
+                begun[row, axis], way[row, axis] = vertices[row, axis], moves[row, axis]
+            elif near:
+                begun[row, axis], way[row, axis] = end[row, axis], 0.0
             else:
-                begun[row, axis], way[row, axis] = vertices[row, axis] - end[row, axis], moves[row, axis]
-            ends[row, axis], ends[row, 3 + axis] = begun[row, axis], begun[row, axis] + way[row, axis]
-    return begun, way, ends
-
-
-@compiled
-def _calm(ends: np.ndarray, edges: np.ndarray, within: float, room: float) -> np.ndarray:
-    """Whether around each vertex (vertices,) `ends` (vertices, 6) [m] are no further than `within` [m] apart.
-
-    And none further than a `room` [m] from 0.
-    """
-    low, high = ends.copy(), ends.copy()
-    for edge in range(len(edges)):
-        a, b = edges[edge, 0], edges[edge, 1]
-        for k in range(6):
-            low[a, k], high[a, k] = min(low[a, k], ends[b, k]), max(high[a, k], ends[b, k])
-            low[b, k], high[b, k] = min(low[b, k], ends[a, k]), max(high[b, k], ends[a, k])
-    calm = np.empty(len(ends), dtype=np.bool_)
-    for v in range(len(ends)):
-        begun, ended = 0.0, 0.0
-        for axis in range(3):
-            begun += (high[v, axis] - low[v, axis]) ** 2
-            ended += (high[v, 3 + axis] - low[v, 3 + axis]) ** 2
-        gone, gone_after = 0.0, 0.0
-        for axis in range(3):
-            gone += ends[v, axis] ** 2
-            gone_after += ends[v, 3 + axis] ** 2
-        calm[v] = begun <= within**2 and ended <= within**2 and gone <= room**2 and gone_after <= room**2
-    return calm
+                begun[row, axis], way[row, axis] = vertices[row, axis], end[row, axis] - vertices[row, axis]
+    return strayed, begun, way
 
 
 @compiled
@@ -242,10 +179,9 @@ def _stay_near(
     vertex_faces: int,
     distances: np.ndarray,
     away: np.ndarray,
-    strayed: Strayed,
     reaches: Reaches,
 ) -> np.ndarray:
-    """Whether each pair (pairs,) that strayed `together` is no further apart than it may approach.
+    """Whether each pair (pairs,) is no further apart than it may approach.
 
     For most, what was between them, `distances` (pairs,) [m], and how far `away` (vertices,) [m] they got decide it.
     """
@@ -260,9 +196,6 @@ def _stay_near(
             gone = max(away[a], away[b]) + max(away[c], away[d])
         reach = reach_of(corners, pair, reaches)
         if distances[pair] - gone > reach:
-            continue
-        ends, within = strayed.ends, strayed.within
-        if not (together(ends, (a,), (b, c, d), within) if vertex_face else together(ends, (a, b), (c, d), within)):
             continue
         gather(vertices, corners[pair], points)
         gather(moves, corners[pair], way)

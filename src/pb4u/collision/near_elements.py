@@ -9,7 +9,6 @@ import numpy as np
 from pb4u.collision.box_tree import Boxes, BoxTree, boxes_meet, copy_row, with_room
 from pb4u.collision.element_distance import Reaches
 from pb4u.collision.jit import compiled
-from pb4u.collision.lasting_pairs import Strayed, boxes_within, together
 from pb4u.collision.surface_elements import Elements, any_corner, share_a_vertex
 
 _DEEPEST = 1024
@@ -75,12 +74,11 @@ def asked_for(tree: BoxTree, faces: np.ndarray, among: np.ndarray) -> Asked:
 
 @compiled
 def meeting_leaves(
-    boxes: Boxes, tree: BoxTree, asked: Asked, others: Asked, parts: np.ndarray, most: int, strayed: Strayed | None
+    boxes: Boxes, tree: BoxTree, asked: Asked, others: Asked, parts: np.ndarray, most: int
 ) -> np.ndarray:
     """Pairs (pairs, 2) of leaves whose boxes meet, of which one is `asked` for and the other of `others`; each once.
 
-    A leaf meets itself. Of the nodes below the pairs of nodes `parts` (parts, 2), but those that strayed together.
-    None where there are over `most`.
+    A leaf meets itself. Of the nodes below the pairs of nodes `parts` (parts, 2). None where there are over `most`.
 
     Args:
         boxes: of the nodes.
@@ -89,7 +87,6 @@ def meeting_leaves(
         others: with which it may meet.
         parts: (parts, 2) int64 pairs of nodes to begin with.
         most: number of pairs above which none are returned.
-        strayed: how far vertices strayed; None for a search of everything.
     """
     children, ranges = tree.children, tree.ranges
     found, count = np.empty((1024, 2), dtype=np.int64), 0
@@ -104,8 +101,6 @@ def meeting_leaves(
                 continue
             inner_a, inner_b = children[a, 0] >= 0, children[b, 0] >= 0
             if a == b:
-                if strayed is not None and boxes_within(strayed.boxes.nodes, a, b, strayed.within):
-                    continue
                 if inner_a:
                     left, right = children[a, 0], children[a, 1]
                     stack[depth, 0], stack[depth, 1] = left, left
@@ -116,8 +111,6 @@ def meeting_leaves(
             elif not boxes_meet(boxes.nodes, a, boxes.nodes, b):
                 continue
             elif inner_a or inner_b:
-                if strayed is not None and boxes_within(strayed.boxes.nodes, a, b, strayed.within):
-                    continue
                 if inner_a and (not inner_b or ranges[a, 1] - ranges[a, 0] >= ranges[b, 1] - ranges[b, 0]):
                     stack[depth, 0], stack[depth, 1] = children[a, 0], b
                     stack[depth + 1, 0], stack[depth + 1, 1] = children[a, 1], b
@@ -143,7 +136,6 @@ def near_elements(
     others: Asked,
     parts: np.ndarray,
     way: Way,
-    strayed: Strayed | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Corners (pairs, 4) of vertex and face, and of two edges, that may come near on a way and whose boxes meet.
 
@@ -157,14 +149,13 @@ def near_elements(
         others: of whose faces the other is.
         parts: (parts, 2) int64 pairs of nodes that are searched.
         way: on which they may come near.
-        strayed: how far vertices strayed; those that did together are left out. None for a search of everything.
     """
     order, ranges = tree.order, tree.ranges
     faces, edges, own_vertices, own_edges = elements
     ends, first_obstacle = way.ends, way.reaches.first_obstacle
     near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
     face_count, edge_count = 0, 0
-    leaves = meeting_leaves(boxes, tree, asked, others, parts, EVERY, strayed)
+    leaves = meeting_leaves(boxes, tree, asked, others, parts, EVERY)
     for pair in range(len(leaves)):
         a, b = leaves[pair]
         for i in range(ranges[a, 0], ranges[a, 1]):
@@ -179,8 +170,6 @@ def near_elements(
                     continue
                 if not boxes_meet(boxes.faces, f, boxes.faces, g):
                     continue
-                if strayed is not None and boxes_within(strayed.boxes.faces, f, g, strayed.within):
-                    continue
                 one, other = (faces[f, 0], faces[f, 1], faces[f, 2]), (faces[g, 0], faces[g, 1], faces[g, 2])
                 if one[0] >= first_obstacle and _beside(other, one, way):
                     continue
@@ -194,8 +183,6 @@ def near_elements(
                     for k in range(3):
                         v = own_vertices[first, k]
                         if v < 0 or not (asked.vertices[v] or asked.faces[second]):
-                            continue
-                        if strayed is not None and together(strayed.ends, (v,), corners, strayed.within):
                             continue
                         if not _apart(ends, (v,), corners, begun, ended):
                             near_faces = with_room(near_faces, face_count)
@@ -221,8 +208,6 @@ def near_elements(
                         ):
                             continue
                         across = edges[q, 0], edges[q, 1]
-                        if strayed is not None and together(strayed.ends, side, across, strayed.within):
-                            continue
                         if not _apart(ends, side, across, begun, ended):
                             near_edges = with_room(near_edges, edge_count)
                             copy_row(edges[p], near_edges[edge_count, :2])
@@ -233,38 +218,50 @@ def near_elements(
 
 @compiled
 def near_around(
-    listed: np.ndarray, vertex_face: bool, among: np.ndarray, way: Way, strayed: Strayed | None
+    listed: np.ndarray, starts: np.ndarray, vertex_face: bool, asked: np.ndarray, among: np.ndarray, way: Way
 ) -> np.ndarray:
     """Corners (pairs, 4) of those `listed` that may come near on a way, as in `near_elements`.
 
     Args:
-        listed: (pairs, 5) int32 as `Elements.pairs_around_vertices` gives them.
+        listed: (pairs, 4) int32, by the vertex around which they are.
+        starts: (vertices + 1,) int64 first pair around each vertex, and the total.
         vertex_face: whether they are of a vertex and a face, else of two edges.
+        asked: (n,) int64 vertices around which they are looked for.
         among: (vertices,) bool of which each pair has one.
         way: on which they may come near.
-        strayed: as in `near_elements`.
     """
     begun, ended = way.reaches.cloth, way.reaches.cloth + way.slack
     near, count = np.empty((64, 4), dtype=np.int64), 0
-    for pair in range(len(listed)):
-        if strayed is not None and strayed.calm[listed[pair, 4]]:
-            continue
-        a, b, c, d = listed[pair, 0], listed[pair, 1], listed[pair, 2], listed[pair, 3]
-        if not (among[a] or among[b] or among[c] or among[d]):
-            continue
-        if vertex_face:
-            if strayed is not None and together(strayed.ends, (a,), (b, c, d), strayed.within):
+    for vertex in asked:
+        for pair in range(starts[vertex], starts[vertex + 1]):
+            a, b, c, d = listed[pair, 0], listed[pair, 1], listed[pair, 2], listed[pair, 3]
+            if not (among[a] or among[b] or among[c] or among[d]):
                 continue
-            apart = _apart(way.ends, (a,), (b, c, d), begun, ended)
-        else:
-            if strayed is not None and together(strayed.ends, (a, b), (c, d), strayed.within):
-                continue
-            apart = _apart(way.ends, (a, b), (c, d), begun, ended)
-        if not apart:
-            near = with_room(near, count)
-            near[count, 0], near[count, 1], near[count, 2], near[count, 3] = a, b, c, d
-            count += 1
+            if vertex_face:
+                apart = _apart(way.ends, (a,), (b, c, d), begun, ended)
+            else:
+                apart = _apart(way.ends, (a, b), (c, d), begun, ended)
+            if not apart:
+                near = with_room(near, count)
+                near[count, 0], near[count, 1], near[count, 2], near[count, 3] = a, b, c, d
+                count += 1
     return near[:count]
+
+
+@compiled
+def beside(edges: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """Vertices (n,) int64 that are `among` (vertices,) the given ones, or have one of them at the other end of an edge.
+
+    Args:
+        edges: (edges, 2) int64.
+        among: (vertices,) bool.
+    """
+    found = among.copy()
+    for edge in range(len(edges)):
+        a, b = edges[edge, 0], edges[edge, 1]
+        found[a] = found[a] or among[b]
+        found[b] = found[b] or among[a]
+    return np.flatnonzero(found)
 
 
 @compiled

@@ -11,6 +11,18 @@ from pb4u.collision.jit import compiled
 from pb4u.geometry.topology import Topology
 
 
+class PairsAround(NamedTuple):
+    """Pairs of a vertex and a face, or of two edges, by the vertex that their faces have in common.
+
+    Args:
+        corners: (pairs, 4) int32.
+        starts: (vertices + 1,) int64 first pair of each vertex, and the total.
+    """
+
+    corners: np.ndarray
+    starts: np.ndarray
+
+
 class Elements(NamedTuple):
     """Faces, edges, and what each face answers for: every pair is met once, though faces share corners and sides.
 
@@ -49,10 +61,8 @@ class Elements(NamedTuple):
         own_edges[first] = number[first]
         return Elements(faces, edges, own.reshape(-1, 3), own_edges.reshape(-1, 3))
 
-    def pairs_around_vertices(self, face_count: int, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of a vertex and a face, and of two edges, without a common vertex, whose faces have one.
-
-        Their corners, and the common vertex (pairs, 5) int32 each; each pair once.
+    def pairs_around_vertices(self, face_count: int, vertex_count: int) -> tuple[PairsAround, PairsAround]:
+        """Pairs of a vertex and a face, and of two edges, without a common vertex, whose faces have one; each once.
 
         Args:
             face_count: number of the first faces among which they are.
@@ -61,9 +71,17 @@ class Elements(NamedTuple):
         own = Elements(self.faces[:face_count], self.edges, self.own_vertices[:face_count], self.own_edges[:face_count])
         starts, ring = Topology(own.faces, vertex_count).vertex_faces
         near_faces, near_edges = _listed_around(own, ring, starts)
-        vertex_faces = np.column_stack([near_faces[:, 0], own.faces[near_faces[:, 1]], near_faces[:, 2]])
-        sides = np.column_stack([own.edges[near_edges[:, 0]], own.edges[near_edges[:, 1]], near_edges[:, 2]])
-        return vertex_faces.astype(np.int32), sides.astype(np.int32)
+        vertex_faces = np.column_stack([near_faces[:, 0], own.faces[near_faces[:, 1]]])
+        sides = np.column_stack([own.edges[near_edges[:, 0]], own.edges[near_edges[:, 1]]])
+        around = (vertex_faces, near_faces[:, 2]), (sides, near_edges[:, 2])
+        one, other = (_by_vertex(corners, common, vertex_count) for corners, common in around)
+        return one, other
+
+
+def _by_vertex(corners: np.ndarray, common: np.ndarray, vertex_count: int) -> PairsAround:
+    """Pairs of the `corners` (pairs, 4) in the order of the vertex (pairs,) that their faces have in common."""
+    starts = np.append(0, np.cumsum(np.bincount(common, minlength=vertex_count)))
+    return PairsAround(corners[np.argsort(common, kind="stable")].astype(np.int32), starts)
 
 
 @compiled

@@ -17,16 +17,16 @@ import numpy as np
 from pb4u.collision.box_tree import Boxes, BoxTree, boxes_of, fill_boxes, fit_nodes
 from pb4u.collision.element_distance import Reaches, may_meet
 from pb4u.collision.element_pairs import ElementPairs, rest_distances
-from pb4u.collision.lasting_pairs import Neighbourhood, Strayed, lasting_pairs
-from pb4u.collision.near_elements import Asked, Way, asked_for, near_around, near_elements
+from pb4u.collision.lasting_pairs import Neighbourhood, lasting_pairs
+from pb4u.collision.near_elements import Asked, Way, asked_for, beside, near_around, near_elements
 from pb4u.collision.surface_elements import Elements
 from pb4u.threads import parallel_map
 
 _ROOM = 0.1
-"""Half of how far apart two vertices may stray, in mean edge lengths at rest, before what is near is searched again."""
+"""How far a vertex may stray, in mean edge lengths at rest, before what is near it is searched again."""
 
 _MOST_STRAYING = 0.5
-"""Share of the vertices that may stray from those around them before the whole surface is searched again."""
+"""Share of the vertices that may stray before the whole surface is searched again."""
 
 _FEW = 4096
 """Vertices up to which one thread searches: 6 ms, beside which it takes long to wake another processor."""
@@ -160,37 +160,47 @@ class SurfaceTree:
         reaches = Reaches(reach, min(reach, reach if obstacle_reach is None else obstacle_reach), self.first_obstacle)
         neighbourhood = None if known is None else known.neighbourhood
         if neighbourhood is not None and all(np.less_equal(reaches, neighbourhood.reaches)):
-            fitted = partial(self.fitted, margin=0.0, strayed=True)
-            strayed = neighbourhood.strayed(vertices, moving, self._own_edges, fitted)
-            if np.count_nonzero(~strayed.calm) <= _MOST_STRAYING * self.first_obstacle:
-                stayed = neighbourhood.near(vertices, moving, strayed, reaches)
-                candidates = self._search(vertices, moving, reaches, self._everywhere, strayed=strayed)
-                return self._pairs((stayed, _near(candidates, vertices, moving, reaches)), neighbourhood)
+            strayed, begun, way = neighbourhood.strayed(vertices, moving)
+            if np.count_nonzero(strayed[: self.first_obstacle]) <= _MOST_STRAYING * self.first_obstacle:
+                if strayed.any():
+                    theirs = self._of(strayed, begun, way, neighbourhood)
+                    neighbourhood = neighbourhood.followed(strayed, vertices, theirs)
+                return self._pairs(neighbourhood.near(vertices, moving, reaches), neighbourhood)
         if not lasting:
             asked = self._everywhere if among is None else among
             candidates = self._search(vertices, moving, reaches, asked)
-            return self._pairs((_near(candidates, vertices, moving, reaches),), None)
+            return self._pairs(_near(candidates, vertices, moving, reaches), None)
         candidates = self._search(vertices, moving, reaches, self._everywhere, self._room)
         neighbourhood, rows = self._neighbourhood(candidates, vertices, moving, reaches)
         found = neighbourhood.corners[rows], int(rows[: neighbourhood.vertex_faces].sum())
-        return self._pairs((found,), neighbourhood)
+        return self._pairs(found, neighbourhood)
+
+    def _of(self, strayed: np.ndarray, vertices: np.ndarray, moves: np.ndarray, known: Neighbourhood) -> Neighbourhood:
+        """Pairs of the vertices that `strayed` (vertices,) bool from the `known` ones, which last as long as these."""
+        cloth, obstacle, first = known.reaches
+        # The other vertices are somewhere within the room all along.
+        wide = Reaches(cloth + 2.0 * known.room, obstacle + 2.0 * known.room, first)
+        return self._neighbourhood(self._search(vertices, moves, wide, strayed), vertices, moves, known.reaches)[0]
 
     def _neighbourhood(
         self, candidates: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, moves: np.ndarray, reaches: Reaches
     ) -> tuple[Neighbourhood, np.ndarray]:
         """Those of the `candidates` that come near, or do so after the move; and which (pairs,) do on it."""
-        pieces = _PIECES if len(vertices) > _FEW else 1
+        pieces = _PIECES if len(candidates[0]) + len(candidates[1]) > _FEW else 1
         parts = [(part, kind) for kind in (True, False) for part in np.array_split(candidates[not kind], pieces)]
-        kept = parallel_map(lambda part: lasting_pairs(vertices, moves, *part, self._room, reaches), parts)
+
+        def lasting(part: tuple[np.ndarray, bool]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            return lasting_pairs(vertices, moves, *part, self._room, reaches)
+
+        kept = parallel_map(lasting, parts) if pieces > 1 else [lasting(part) for part in parts]
         corners, distances, rows = (np.concatenate(found) for found in zip(*kept, strict=True))
         vertex_faces = sum(len(found[0]) for found in kept[:pieces])
         made = Neighbourhood(vertices.copy(), vertices + moves, reaches, self._room, corners, vertex_faces, distances)
         return made, rows
 
-    def _pairs(self, parts: Sequence[tuple[np.ndarray, int]], neighbourhood: Neighbourhood | None) -> ElementPairs:
-        """All `parts` as one: corners, of which the first so many are of a vertex and a face."""
-        faces, edges = [c[:first] for c, first in parts], [c[first:] for c, first in parts]
-        corners, first = np.concatenate([*faces, *edges]), sum(first for _, first in parts)
+    def _pairs(self, found: tuple[np.ndarray, int], neighbourhood: Neighbourhood | None) -> ElementPairs:
+        """Pairs of the corners that were `found`, of which the first so many are of a vertex and a face."""
+        corners, first = found
         return ElementPairs(corners, first, rest_distances(self.rest, self.part, corners, first), neighbourhood)
 
     def _search(
@@ -200,12 +210,10 @@ class SurfaceTree:
         reaches: Reaches,
         among: np.ndarray,
         room: float = 0.0,
-        strayed: Strayed | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Corners (pairs, 4) of vertex and face, and of two edges, that have one `among` these vertices and may meet.
 
         Whose boxes meet that are wider by half of a reach on every side, and at the end of the move by `room` [m] more.
-        Those that `strayed` together since are left out.
         """
         if not among.any():
             return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
@@ -219,12 +227,16 @@ class SurfaceTree:
         # Cloth on skin lies along it: planes of its faces keep most apart whose boxes meet.
         way = Way(vertices, moves, np.concatenate([vertices, vertices + moves], axis=1), reaches, 2.0 * room)
         searches: list[Callable[[], Any]] = [
-            partial(near_elements, boxes, self.boxes, self._elements, asked, others, part, way, strayed)
-            for part in parts
+            partial(near_elements, boxes, self.boxes, self._elements, asked, others, part, way) for part in parts
         ]
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
-        around = self._pieces_around if whole else ((self._around[0], True), (self._around[1], False))
-        searches += [partial(near_around, *piece, among, way, strayed) for piece in around if not mixed]
+        if not mixed:
+            vertices_around = np.array_split(beside(self._own_edges, among), pieces)
+            searches += [
+                partial(near_around, *self._around[not kind], kind, part, among, way)
+                for kind in (True, False)
+                for part in vertices_around
+            ]
         found = parallel_map(lambda search: search(), searches) if whole else [search() for search in searches]
         vertex_faces, edge_edges = (
             np.concatenate(
@@ -238,35 +250,27 @@ class SurfaceTree:
             )
         return vertex_faces, edge_edges
 
-    def fitted(
-        self, vertices: np.ndarray, moves: np.ndarray, margin: float, room: float = 0.0, strayed: bool = False
-    ) -> Boxes:
+    def fitted(self, vertices: np.ndarray, moves: np.ndarray, margin: float, room: float = 0.0) -> Boxes:
         """Boxes of the nodes and faces; those of obstacles may be wider than asked for.
 
-        They hold until the next call of their kind in the same thread.
+        They hold until the next call in the same thread.
 
         Args:
             vertices: (vertices, 3) float64 [m].
             moves: (vertices, 3) float64 [m].
             margin: what they are wider by on every side [m].
             room: the same at the end of the move [m].
-            strayed: whether they are of how far vertices strayed, not of where they are.
         """
-        first, kind = self.first_obstacle, "strayed" if strayed else "placed"
-        kept: _Fitted | None = getattr(self._kept, kind, None)
+        first = self.first_obstacle
+        kept: _Fitted | None = getattr(self._kept, "boxes", None)
         if first < len(vertices) and kept is not None and kept.serves(vertices[first:], moves[first:], margin, room):
             fill_boxes(vertices, moves, self.faces[: self._own_faces], margin, room, kept.boxes.faces)
             fit_nodes(self._own_nodes, self.boxes, kept.boxes)
             return kept.boxes
         boxes = self.boxes.fitted(boxes_of(vertices, moves, self.faces, margin, room))
         if first < len(vertices):
-            setattr(self._kept, kind, _Fitted(vertices[first:].copy(), moves[first:].copy(), margin, room, boxes))
+            self._kept.boxes = _Fitted(vertices[first:].copy(), moves[first:].copy(), margin, room, boxes)
         return boxes
-
-    @cached_property
-    def _pieces_around(self) -> list[tuple[np.ndarray, bool]]:
-        """Pieces of the pairs around vertices that threads look through; whether they are of a vertex and a face."""
-        return [(piece, kind) for kind in (True, False) for piece in np.array_split(self._around[not kind], _PIECES)]
 
     @cached_property
     def _kept(self) -> threading.local:

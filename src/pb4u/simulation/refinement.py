@@ -148,23 +148,22 @@ class SolverRefinement:
         failed = _failed_faces(step, reached.positions)
         if not failed:
             return reached
-        garments, pressed, most = step.garments, self.potential.pressed_by_bodies(), _most_iterations(step)
-        strained = garments.vertex_garment[garments.faces[_are_failed(step, reached.positions), 0]]
-        longest = _EDGES_IN_A_PART * min(garments.mean_edge_lengths[number] for number in set(strained.tolist()))
-        parts = substep_count(step, longest)
-        if parts == 1:
-            smoothed = self._pressing.minimise(pressed.of(step), reached.positions, _MOST_PRESSING)
-            if not _failed_faces(step, smoothed.positions):
-                if self.retried:
-                    self.retried(smoothed)
-                return step.reached(smoothed.positions, smoothed.struck)
+        pressed, most = self.potential.pressed_by_bodies(), _most_iterations(step)
+        smoothed = self._pressing.minimise(pressed.of(step), reached.positions, _MOST_PRESSING)
+        if not _failed_faces(step, smoothed.positions):
+            if self.retried:
+                self.retried(smoothed)
+            return step.reached(smoothed.positions, smoothed.struck)
 
         def solve(part: TimeStep) -> Solution:
             start = past_bodies(self_contact, part, part.reached(self._warm_start.positions(part)), apart=False)
             smooth = _Smoothing(part, ends=True)
             return self._pressing.minimise(pressed.of(part), start.positions, most, until=smooth.ended)
 
-        retried, solution = in_parts(step, parts, solve)
+        garments = step.garments
+        strained = garments.vertex_garment[garments.faces[_are_failed(step, reached.positions), 0]]
+        longest = _EDGES_IN_A_PART * min(garments.mean_edge_lengths[number] for number in set(strained.tolist()))
+        retried, solution = in_parts(step, substep_count(step, longest), solve)
         if self.retried:
             self.retried(solution)
         return retried if _failed_faces(step, retried.positions) < failed else reached
