@@ -8,8 +8,9 @@ import torch
 import trimesh
 from tests.physics.shapes import capsule, collider, colliders, packed, sheet
 
-from pb4u.collision.nearest_points import Found
+from pb4u.collision.nearest_points import Found, update_closest
 from pb4u.collision.nearest_surface import TriangleSurface
+from pb4u.collision.wide_tree import fit
 from pb4u.physics.contact.contact_set import CONTACT_REACH, nearest_planes
 from pb4u.scene.colliders import ColliderPose
 
@@ -108,7 +109,10 @@ def test_only_nearer_faces_are_taken_and_only_those_asked_for() -> None:
     exact = surface.at(vertices).nearest(points)
     on_others = ~went[found.triangle]
     before = found.copy()
-    surface.at(vertices).update_if_nearer(points, found, went)
+    dent, tree = surface.at(vertices).searched, surface.tree(vertices)
+    corners, boxes = fit(vertices, faces, went, tree.order, tree.levels)
+    dent = dent._replace(corners=corners, boxes=boxes)
+    update_closest(dent, surface.names, points, np.inf, -1.0, True, found)
     np.testing.assert_allclose(found.distances[on_others], exact.signed_distance.numpy()[on_others], rtol=0, atol=1e-12)
     changed = found.triangle != before.triangle
     assert (on_others & changed).any()

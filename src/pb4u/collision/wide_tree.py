@@ -56,18 +56,16 @@ class WideTree:
         """Number of nodes whose children are faces."""
         return int(self.levels[1])
 
-    def fitted(
-        self, vertices: np.ndarray, faces: np.ndarray, among: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def fitted(self, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Corners (faces, 9) [m] in the order, and lowest and highest corner (nodes, 6, 8) [m] of all children.
 
         Args:
             vertices: (vertices, 3) [m].
             faces: (faces, 3) int64.
-            among: (faces,) bool, those that a search can find; None for all.
         """
-        wanted = np.ones(len(faces), dtype=np.bool_) if among is None else among
-        fitted: tuple[np.ndarray, np.ndarray] = _fitted(vertices, faces, wanted, self.order, self.levels)
+        fitted: tuple[np.ndarray, np.ndarray] = fit(
+            vertices, faces, np.ones(len(faces), dtype=np.bool_), self.order, self.levels
+        )
         return fitted
 
 
@@ -97,10 +95,18 @@ def _ordered(centres: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _fitted(
+def fit(
     vertices: np.ndarray, faces: np.ndarray, wanted: np.ndarray, order: np.ndarray, levels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Corners and boxes as `WideTree.fitted` gives them."""
+    """Corners (faces, 9) [m] in the order, and lowest and highest corner (nodes, 6, 8) [m] of all children.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+        wanted: (faces,) bool, those that a search can find.
+        order: that of the `WideTree`.
+        levels: those of the `WideTree`.
+    """
     corners, boxes = np.empty((len(order), 9)), np.empty((levels[-1], 6, WIDTH))
     for place in range(len(order)):
         for corner in range(3):
