@@ -9,7 +9,7 @@ import numpy as np
 from pb4u.collision.jit import compiled
 from pb4u.collision.nearest_points import Found, Searched, update_closest
 from pb4u.collision.surface_elements import any_corner
-from pb4u.collision.wide_tree import fit
+from pb4u.collision.wide_tree import fit, fit_again
 from pb4u.physics.contact.penetration_loops import add_lifts, carry_found, move_vertices
 from pb4u.physics.contact.skin_cover import SKIN_OVER_CLOTH, described
 
@@ -120,14 +120,14 @@ def lifted_off(
     edges = _near(x, elements[1], body, cloth, chosen, clearance, sag)
     faces = _near(x, elements[2], body, cloth, chosen, clearance, sag)
     places = _Skin(skin[0], skin[1], _unknown(skin[0] + SKIN_OVER_CLOTH * skin[1]))
-    moved = np.zeros(len(x))
+    moved, fitted = np.zeros(len(x)), fit(x[cloth.first : cloth.stop], cloth.faces, cloth.order, cloth.levels)
     for number in range(passes):
         direction, size = np.zeros(x.shape), np.zeros(len(x))
         vertices = _lift_middles(direction, size, x, vertices, body)
         edges = _lift_middles(direction, size, x, edges, body)
         faces = _lift_middles(direction, size, x, faces, body)
         if len(places.places):
-            places = _lift_off_skin(direction, size, x, moved, number == 0, places, cloth, clearance)
+            places = _lift_off_skin(direction, size, x, moved, number == 0, places, cloth, fitted, clearance)
         if not move_vertices(x, direction, size, movable, largest):
             break
         moved = size
@@ -233,24 +233,26 @@ def _lift_off_skin(
     new: bool,
     skin: _Skin,
     cloth: Cloth,
+    fitted: tuple[np.ndarray, np.ndarray],
     clearance: float,
 ) -> _Skin:
     """Lift the faces that skin shows through; the skin that has cloth of its own near it is given back.
 
     Cloth is searched for again where it `moved` (vertices,) [m] since the pass before, everywhere where that is `new`.
+    Its tree was `fitted` to where it was then.
     """
+    corners, boxes = fitted
     own, faces, found = x[cloth.first : cloth.stop], cloth.faces, skin.found
     went = any_corner(faces, moved[cloth.first : cloth.stop] > 0.0)
-    every = np.ones(len(faces), dtype=np.bool_)
     if new or went.any():
-        corners, boxes = fit(own, faces, every, cloth.order, cloth.levels)
-        searched = Searched(own, faces, cloth.fans, cloth.order, cloth.children, cloth.bottoms, corners, boxes)
         if not new:
+            alone = fit_again(own, faces, went, cloth.order, cloth.levels, corners, boxes)
             # Where the nearest cloth went bounds what is nearest now.
             carry_found(found, went, own, faces)
-            update_closest(searched, cloth.names, skin.places, np.inf, 0.0, False, found)
-            corners, boxes = fit(own, faces, went, cloth.order, cloth.levels)
             searched = Searched(own, faces, cloth.fans, cloth.order, cloth.children, cloth.bottoms, corners, boxes)
+            update_closest(searched, cloth.names, skin.places, np.inf, 0.0, False, found)
+            boxes = alone
+        searched = Searched(own, faces, cloth.fans, cloth.order, cloth.children, cloth.bottoms, corners, boxes)
         update_closest(searched, cloth.names, skin.places, np.inf, -1.0, True, found)
     nearest = found.triangle, found.positions, found.beyond
     heights, _, belongs = described(nearest, skin.places, skin.normals, own, faces)
