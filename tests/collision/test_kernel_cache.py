@@ -88,3 +88,12 @@ def test_what_cannot_be_kept_is_said_once_with_the_way_out(tmp_path, monkeypatch
     (sentence,) = said
     assert "NUMBA_CACHE_DIR" in sentence
     kernel_cache._say_where_kernels_could_be_kept.cache_clear()
+
+
+def test_an_edited_intrinsic_recompiles_its_callers(tmp_path, monkeypatch):
+    made = "from numba.extending import intrinsic\nfrom numba.core import types\n"
+    made += HEADER + "@intrinsic\ndef inner(_, x):\n    def make(context, builder, signature, arguments):\n"
+    made += "        return context.get_constant(types.int64, {added})\n    return types.int64(x), make\n"
+    monkeypatch.setattr(f"{__name__}.INNER", made)
+    assert _outer(tmp_path, monkeypatch)(1) == 10
+    assert _outer(tmp_path, monkeypatch, added=100)(1) == 1000

@@ -8,8 +8,9 @@ import torch
 import trimesh
 from tests.physics.shapes import capsule, collider, colliders, packed, sheet
 
-from pb4u.collision.nearest_points import Found
+from pb4u.collision.nearest_points import Found, update_closest
 from pb4u.collision.nearest_surface import TriangleSurface
+from pb4u.collision.wide_tree import fit_again
 from pb4u.physics.contact.contact_set import CONTACT_REACH, nearest_planes
 from pb4u.scene.colliders import ColliderPose
 
@@ -101,14 +102,18 @@ def test_only_nearer_faces_are_taken_and_only_those_asked_for() -> None:
     surface = TriangleSurface(faces, len(vertices))
     points = np.random.default_rng(2).uniform(-0.4, 0.4, (400, 3))
     found = Found.nothing(400)
-    surface.at(vertices).update_closest(points, found)
+    surface.at(vertices.copy()).update_closest(points, found)
+    undented, tree = surface.at(vertices.copy()).searched, surface.tree(vertices)
     dented = (vertices[:, 1] > 0.1)[:, None]
     vertices[dented[:, 0]] *= 1.3
     went = dented[faces, 0].any(axis=1)
+    alone = fit_again(vertices, faces, went, tree.order, tree.levels, undented.corners, undented.boxes)
+    for again, anew in zip((undented.corners, undented.boxes), tree.fitted(vertices, faces), strict=True):
+        np.testing.assert_array_equal(again, anew)
     exact = surface.at(vertices).nearest(points)
     on_others = ~went[found.triangle]
     before = found.copy()
-    surface.at(vertices).update_if_nearer(points, found, went)
+    update_closest(undented._replace(vertices=vertices, boxes=alone), surface.names, points, np.inf, -1.0, True, found)
     np.testing.assert_allclose(found.distances[on_others], exact.signed_distance.numpy()[on_others], rtol=0, atol=1e-12)
     changed = found.triangle != before.triangle
     assert (on_others & changed).any()

@@ -70,6 +70,52 @@ def test_skin_between_the_middles_of_faces_is_covered() -> None:
     assert float((lifted.positions - clear.positions).norm(dim=1).max()) < 0.02
 
 
+def readable_lift(timeline: Timeline, x: np.ndarray, body: np.ndarray, passes: int) -> np.ndarray:
+    """Positions (vertices, 3) [m] after some passes, everything looked at anew in each."""
+    garments, clearance = timeline.garments, FaceClearance().clearance
+    faces, sag = garments.faces.numpy(), garments.vertex_edge_lengths.numpy() ** 2 / (32.0 * 0.03)
+    elements = [np.arange(len(x))[:, None], garments.edges.numpy(), faces]
+    surface, cloth = timeline.colliders.pose(torch.from_numpy(body)).surfaces[0], TriangleSurface(faces, len(x))
+    assert surface is not None
+    places, normals = body, area_weighted_normals(body, timeline.colliders.faces.numpy())
+    x = x.copy()
+    for _ in range(passes):
+        direction, size = np.zeros_like(x), np.zeros(len(x))
+        lifts = []
+        for kind, corners in enumerate(elements):
+            near = surface.nearest(x[corners].mean(axis=1))
+            gap = clearance + (sag[corners[:, 0]] if kind else 0.0) - near.signed_distance.numpy()
+            low = (gap > 0.0) & ~near.beyond_border.numpy()
+            elements[kind] = corners[low]
+            lifts.append((corners[low], np.full(corners[low].shape, 1.0 / (kind + 1)), gap[low], near.normals[low]))
+        cover = SkinCover.at(places, normals, cloth.at(x))
+        near_cloth = cover.distances < 0.02
+        low = cover.belongs & near_cloth & (cover.heights < clearance)
+        lifts.append((faces[cover.faces[low]], cover.barycentric[low], clearance - cover.heights[low], normals[low]))
+        places, normals = places[near_cloth], normals[near_cloth]
+        for corners, shares, gap, along in lifts:
+            moves = gap[:, None] * shares / (shares**2).sum(axis=1, keepdims=True)
+            np.maximum.at(size, corners, moves)
+            np.add.at(direction, corners, moves[:, :, None] * np.asarray(along)[:, None, :])
+        length = np.linalg.norm(direction, axis=1, keepdims=True)
+        x += np.minimum(size, 5e-3)[:, None] * direction / np.maximum(length, 1e-300)
+    return x
+
+
+def test_passes_that_remember_what_they_found_lift_as_passes_that_look_at_everything() -> None:
+    timeline, state = sheet_wrapped_round_the_ball()
+    body, centre = timeline.body(0).numpy().copy(), np.array([0.0, 0.5, 0.0])
+    near = np.flatnonzero(body[:, 1] > 0.65)[::5]
+    body[near] += 0.008 * (body[near] - centre) / 0.2
+    pose, x = timeline.colliders.pose(torch.from_numpy(body)), state.positions.numpy()
+    for passes in (1, 2, 5):
+        clean_up = FaceClearance(passes=passes, most_stretch=9.0)
+        expected = readable_lift(timeline, x, body, passes)
+        assert np.abs(expected - x).max() > 1e-3
+        found = clean_up.lift(timeline.garments, state, pose, None).positions.numpy()
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+
+
 def test_a_vertex_inside_is_lifted_out_though_the_middles_around_it_are_clear() -> None:
     timeline, state = sheet_wrapped_round_the_ball()
     centre = torch.tensor([0.0, 0.5, 0.0], dtype=torch.float64)

@@ -24,6 +24,7 @@ from filelock import FileLock
 from numba.core import config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.dispatcher import Dispatcher
+from numba.core.extending import _Intrinsic
 
 from pb4u.errors import warn
 from pb4u.io.cache_folder import cache_folder
@@ -155,6 +156,8 @@ def _value(name: str, value: Any, code: list[Any], seen: set[Dispatcher]) -> Ite
     if isinstance(value, Dispatcher):
         yield name
         yield from _parts(value, seen)
+    elif isinstance(value, _Intrinsic):
+        yield f"{name}:{list(_code(value._defn.__code__))}"
     elif isinstance(value, ModuleType) and value.__name__.partition(".")[0] not in ("numpy", "math", "numba"):
         attributes = {attribute for _, _, named, _ in code for attribute in named}
         for attribute in sorted(attributes & vars(value).keys()):

@@ -75,14 +75,6 @@ class Found(NamedTuple):
         """
         return Found(*(values[first:stop] for values in self))
 
-    def among(self, rows: np.ndarray) -> Found:
-        """What was found for the points of `rows` (points,) bool, in memory of its own.
-
-        Args:
-            rows: (points,) bool.
-        """
-        return Found(*(values[rows] for values in self))
-
     def copy(self) -> Found:
         """The same in memory of its own."""
         return Found(*(values.copy() for values in self))

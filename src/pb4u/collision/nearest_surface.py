@@ -141,7 +141,8 @@ class PosedSurface:
         self.vertices = vertices.to(torch.float64)
 
     @cached_property
-    def _searched(self) -> Searched:
+    def searched(self) -> Searched:
+        """The surface as compiled searches see it."""
         vertices = np.ascontiguousarray(self.vertices.numpy())
         faces, tree = self.surface.faces, self.surface.tree(vertices)
         fitted = tree.fitted(vertices, faces)
@@ -216,7 +217,7 @@ class PosedSurface:
         Returns:
             Number of points that were searched for.
         """
-        searched, called = self._searched, self.surface.names if names is None else names
+        searched, called = self.searched, self.surface.names if names is None else names
         asked = np.ascontiguousarray(points)
         far = within if self.surface.closed else np.inf
         starts = range(0, max(len(asked), 1), _POINTS_PER_PART)
@@ -224,20 +225,6 @@ class PosedSurface:
         return sum(
             parallel_map(lambda part: update_closest(searched, called, part[0], far, patience, False, part[1]), parts)
         )
-
-    def update_if_nearer(self, points: np.ndarray, found: Found, among: np.ndarray | None = None) -> None:
-        """Bring up to date what was found where a face is nearer than that.
-
-        Args:
-            points: (points, 3) [m].
-            found: for the same points; changed.
-            among: (faces,) bool, the `faces` of the surface that may be; None for all.
-        """
-        searched = self._searched
-        if among is not None:
-            fitted = self.surface.tree(searched.vertices).fitted(searched.vertices, searched.faces, among)
-            searched = searched._replace(corners=fitted[0], boxes=fitted[1])
-        update_closest(searched, self.surface.names, np.ascontiguousarray(points), np.inf, -1.0, True, found)
 
     def nearest_face_centre(self, points: Tensor | np.ndarray) -> tuple[Tensor, Tensor]:
         """Face with the nearest centre to each point: the HOOD family's convention.

@@ -56,18 +56,14 @@ class WideTree:
         """Number of nodes whose children are faces."""
         return int(self.levels[1])
 
-    def fitted(
-        self, vertices: np.ndarray, faces: np.ndarray, among: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def fitted(self, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Corners (faces, 9) [m] in the order, and lowest and highest corner (nodes, 6, 8) [m] of all children.
 
         Args:
             vertices: (vertices, 3) [m].
             faces: (faces, 3) int64.
-            among: (faces,) bool, those that a search can find; None for all.
         """
-        wanted = np.ones(len(faces), dtype=np.bool_) if among is None else among
-        fitted: tuple[np.ndarray, np.ndarray] = _fitted(vertices, faces, wanted, self.order, self.levels)
+        fitted: tuple[np.ndarray, np.ndarray] = fit(vertices, faces, self.order, self.levels)
         return fitted
 
 
@@ -97,29 +93,93 @@ def _ordered(centres: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _fitted(
-    vertices: np.ndarray, faces: np.ndarray, wanted: np.ndarray, order: np.ndarray, levels: np.ndarray
+def fit(
+    vertices: np.ndarray, faces: np.ndarray, order: np.ndarray, levels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Corners and boxes as `WideTree.fitted` gives them."""
-    corners, boxes = np.empty((len(order), 9)), np.empty((levels[-1], 6, WIDTH))
+    """Corners (faces, 9) [m] in the order, and lowest and highest corner (nodes, 6, 8) [m] of all children.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+        order: that of the `WideTree`.
+        levels: those of the `WideTree`.
+    """
+    corners, boxes = np.empty((len(order), 9)), _no_boxes(levels)
+    _fit_some(vertices, faces, np.ones(len(order), dtype=np.bool_), order, levels, corners, boxes, boxes)
+    return corners, boxes
+
+
+@compiled
+def fit_again(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    went: np.ndarray,
+    order: np.ndarray,
+    levels: np.ndarray,
+    corners: np.ndarray,
+    boxes: np.ndarray,
+) -> np.ndarray:
+    """Bring what `fit` gave up to date, and give back boxes (nodes, 6, 8) [m] in which only faces that `went` are.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+        went: (faces,) bool, those with another place than before.
+        order: that of the `WideTree`.
+        levels: those of the `WideTree`.
+        corners: (faces, 9) [m], changed.
+        boxes: (nodes, 6, 8) [m], changed.
+    """
+    alone = _no_boxes(levels)
+    _fit_some(vertices, faces, went, order, levels, corners, boxes, alone)
+    return alone
+
+
+@compiled
+def _no_boxes(levels: np.ndarray) -> np.ndarray:
+    boxes = np.empty((levels[-1], 6, WIDTH))
+    boxes[:, :3], boxes[:, 3:] = _EMPTY, -_EMPTY
+    return boxes
+
+
+@compiled
+def _fit_some(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    went: np.ndarray,
+    order: np.ndarray,
+    levels: np.ndarray,
+    corners: np.ndarray,
+    boxes: np.ndarray,
+    alone: np.ndarray,
+) -> None:
+    """Change `corners` and `boxes` for the faces that `went`; `alone` are boxes of these and of nothing else."""
+    changed = np.zeros(levels[-1], dtype=np.bool_)
     for place in range(len(order)):
-        for corner in range(3):
-            for axis in range(3):
-                corners[place, 3 * corner + axis] = vertices[faces[order[place], corner], axis]
-    for level in range(len(levels) - 1):
-        first, below = levels[level], levels[level - 1] if level > 0 else 0
-        held = first - below if level > 0 else len(order)
-        for node in range(first, levels[level + 1]):
-            for lane in range(WIDTH):
-                child = WIDTH * (node - first) + lane
+        face = order[place]
+        if not went[face]:
+            continue
+        node, lane = place // WIDTH, place % WIDTH
+        changed[node] = True
+        for axis in range(3):
+            low, high = _EMPTY, -_EMPTY
+            for corner in range(3):
+                value = vertices[faces[face, corner], axis]
+                corners[place, 3 * corner + axis] = value
+                low, high = min(low, value), max(high, value)
+            boxes[node, axis, lane] = alone[node, axis, lane] = low
+            boxes[node, 3 + axis, lane] = alone[node, 3 + axis, lane] = high
+    for level in range(1, len(levels) - 1):
+        first, below = levels[level], levels[level - 1]
+        for child in range(first - below):
+            if not changed[below + child]:
+                continue
+            node, lane = first + child // WIDTH, child % WIDTH
+            changed[node] = True
+            for held in (boxes, alone):
                 for axis in range(3):
                     low, high = _EMPTY, -_EMPTY
-                    if level == 0 and child < held and wanted[order[child]]:
-                        for corner in range(axis, 9, 3):
-                            low, high = min(low, corners[child, corner]), max(high, corners[child, corner])
-                    elif level > 0 and child < held:
-                        for inner in range(WIDTH):
-                            low = min(low, boxes[below + child, axis, inner])
-                            high = max(high, boxes[below + child, 3 + axis, inner])
-                    boxes[node, axis, lane], boxes[node, 3 + axis, lane] = low, high
-    return corners, boxes
+                    for inner in range(WIDTH):
+                        low = min(low, held[below + child, axis, inner])
+                        high = max(high, held[below + child, 3 + axis, inner])
+                    held[node, axis, lane], held[node, 3 + axis, lane] = low, high

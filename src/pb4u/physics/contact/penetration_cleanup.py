@@ -9,9 +9,7 @@ queried in turn, and the cloth that they pierce is lifted over them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -19,20 +17,12 @@ from torch import Tensor
 
 from pb4u.collision.jit import as_float64
 from pb4u.collision.nearest_points import Found
-from pb4u.collision.nearest_surface import PosedSurface
-from pb4u.collision.surface_elements import any_corner
 from pb4u.physics.contact.contact_set import MOTION_REACH, ContactPlanes, nearest_planes
 from pb4u.physics.contact.obstacle import Obstacle
-from pb4u.physics.contact.penetration_loops import (
-    add_lifts,
-    carry_found,
-    cut_back,
-    may_be_near,
-    move_vertices,
-    vertices_within,
-)
+from pb4u.physics.contact.penetration_loops import cut_back, vertices_within
+from pb4u.physics.contact.penetration_passes import Body, Cloth, lifted_off
 from pb4u.physics.contact.self_contact import CollisionFree
-from pb4u.physics.contact.skin_cover import SKIN_OVER_CLOTH, SkinCover
+from pb4u.physics.contact.skin_cover import SKIN_OVER_CLOTH
 from pb4u.scene.colliders import ColliderPose
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State
@@ -81,6 +71,8 @@ class FaceClearance:
             return state
         planes = nearest_planes(pose, garments, state.positions, MOTION_REACH)
         lifted = self._lifted(garments, pose, planes, state.positions, ~garments.pinned.numpy(), cover=True)
+        if np.array_equal(lifted, as_float64(state.positions)):
+            return state
         return replace(state, positions=self._without_harm(garments, pose, state.positions, lifted, planes, cloth))
 
     def pins_clear(self, garments: PackedGarments, pose: ColliderPose, x: Tensor) -> Tensor:
@@ -115,21 +107,13 @@ class FaceClearance:
 
         Without, only what lies between these alone is looked at.
         """
-        x, worlds = as_float64(before).copy(), _touched(garments, pose)
-        elements = [part for world in worlds for part in self._near(garments, pose, planes, x, world)]
-        skin: list[_Skin] = []
-        if cover:
-            skin = [_skin(pose.surfaces[world], x, garments.world_vertices[world]) for world in worlds]
-        else:
-            elements = [part.chosen(movable[part.corners].all(axis=1)) for part in elements]
-        lift = _Lift(np.zeros_like(x), np.zeros(len(x)))
-        for _ in range(self.passes):
-            moved, lift = lift.size, _Lift(np.zeros_like(x), np.zeros(len(x)))
-            elements = [self._lift_middles(lift, x, part) for part in elements]
-            for place, (world, places) in enumerate(zip(worlds, skin, strict=False)):
-                skin[place] = self._cover(lift, garments, x, moved, world, places)
-            if not move_vertices(x, *lift, movable, _LARGEST_PUSH):
-                break
+        x, lengths = as_float64(before), garments.vertex_edge_lengths.numpy()
+        elements = np.arange(len(x))[:, None], garments.edges.numpy(), garments.faces.numpy()
+        sag, limits = lengths**2 / (32.0 * _SMALLEST_RADIUS), (self.clearance, self.passes, _LARGEST_PUSH)
+        for world in _touched(garments, pose):
+            skin = _skin(pose, x, garments.world_vertices[world], world) if cover else (np.zeros((0, 3)),) * 2
+            body, cloth = _body(pose, planes, world), _cloth(garments, x, world)
+            x = lifted_off(x, movable, not cover, elements, sag, skin, body, cloth, limits)
         return x
 
     def _without_harm(
@@ -186,128 +170,36 @@ class FaceClearance:
             taken[rows[~found.beyond & deeper]] = True
         return taken
 
-    def _near(
-        self, garments: PackedGarments, pose: ColliderPose, planes: ContactPlanes, x: np.ndarray, world: int
-    ) -> Iterator[_Middles]:
-        """Vertices, edges and faces of a world whose middle may be too near to its body."""
-        surface, points = pose.surfaces[world], as_float64(planes.points)
-        if surface is None:
-            return
-        # Of what is out of reach no more is known than that.
-        distances = np.minimum(as_float64(planes.distance), MOTION_REACH)
-        of_world = garments.vertex_world.numpy() == world
-        lengths = garments.vertex_edge_lengths.numpy()
-        vertices = np.arange(len(x))[:, None]
-        for corners in (vertices, garments.edges.numpy(), garments.faces.numpy()):
-            sag = lengths**2 / (32.0 * _SMALLEST_RADIUS) if corners.shape[1] > 1 else 0.0
-            wanted = np.where(of_world, self.clearance + sag, -np.inf)
-            kept = corners[may_be_near(x, corners, distances, wanted)]
-            # What is nearest to a corner bounds what is nearest to the middle.
-            near = Found.nothing(len(kept), points[kept[:, 0]])
-            yield _Middles(surface, len(pose.colliders.world_faces[world]), kept, wanted[kept[:, 0]], near)
-
-    def _lift_middles(self, lift: _Lift, x: np.ndarray, middles: _Middles) -> _Middles:
-        """Lift elements whose middle is too near to the body, and give back those."""
-        if not len(middles.corners):
-            return middles
-        found = middles.found
-        middles.surface.update_closest(x[middles.corners].mean(axis=1), found)
-        # Where a region is left out of contact there is no skin, nor is the cap of one.
-        skin = ~found.beyond & (found.triangle < middles.skin_faces)
-        low = skin & (found.distances < middles.wanted)
-        kept = middles.chosen(low)
-        shares = np.full(kept.corners.shape, 1.0 / kept.corners.shape[1])
-        add_lifts(*lift, kept.corners, shares, kept.wanted - kept.found.distances, kept.found.normals)
-        return kept
-
-    def _cover(
-        self, lift: _Lift, garments: PackedGarments, x: np.ndarray, moved: np.ndarray, world: int, skin: _Skin
-    ) -> _Skin:
-        """Lift the faces that skin shows through; the skin that has cloth of its own near it is given back.
-
-        Cloth is searched for again where it `moved` (vertices,) [m] since the pass before.
-        """
-        if not len(skin.places):
-            return skin
-        rows = garments.world_vertices[world]
-        cloth, found = garments.surfaces[world].at(x[rows].copy()), skin.found
-        faces = cloth.surface.faces
-        went = any_corner(faces, moved[rows] > 0.0)
-        if not skin.new:
-            # Where the nearest cloth went bounds what is nearest now.
-            carry_found(found, went, x[rows], faces)
-            cloth.update_closest(skin.places, found)
-        cloth.update_if_nearer(skin.places, found, None if skin.new else went)
-        near = np.abs(found.distances) < SKIN_OVER_CLOTH
-        cover = SkinCover.of(found, skin.places, skin.normals, cloth)
-        low = cover.belongs & near & (cover.heights < self.clearance)
-        heights = self.clearance - cover.heights[low]
-        add_lifts(*lift, faces[found.triangle[low]] + rows.start, found.barycentric[low], heights, skin.normals[low])
-        if near.all():
-            return skin._replace(new=False)
-        return _Skin(skin.places[near], skin.normals[near], found.among(near), new=False)
-
-
-class _Middles(NamedTuple):
-    """Elements of the cloth of one world whose middles may be too near to its body.
-
-    Args:
-        surface: of the body.
-        skin_faces: number of its faces that are skin; those after them are caps.
-        corners: (elements, corners) int64.
-        wanted: (elements,) [m] distance that each keeps.
-        found: of the body, for each middle.
-    """
-
-    surface: PosedSurface
-    skin_faces: int
-    corners: np.ndarray
-    wanted: np.ndarray
-    found: Found
-
-    def chosen(self, rows: np.ndarray) -> _Middles:
-        """Those of `rows` (elements,) bool."""
-        return self._replace(corners=self.corners[rows], wanted=self.wanted[rows], found=self.found.among(rows))
-
-
-class _Skin(NamedTuple):
-    """Places on the skin of one world.
-
-    Args:
-        places: (places, 3) [m].
-        normals: (places, 3) outward unit normals.
-        found: of the cloth, for each place.
-        new: whether that is a place at the end of their reach yet, and no cloth.
-    """
-
-    places: np.ndarray
-    normals: np.ndarray
-    found: Found
-    new: bool = True
-
-
-class _Lift(NamedTuple):
-    """Displacements gathered over one pass.
-
-    Args:
-        direction: (vertices, 3) [m] all lifts of a vertex summed.
-        size: (vertices,) [m] the largest of them.
-    """
-
-    direction: np.ndarray
-    size: np.ndarray
-
 
 def _touched(garments: PackedGarments, pose: ColliderPose) -> list[int]:
     """Worlds whose bodies can be touched."""
     return [world for world, surface in enumerate(pose.surfaces[: garments.world_count]) if surface is not None]
 
 
-def _skin(surface: PosedSurface | None, x: np.ndarray, own: slice) -> _Skin:
-    """The body's vertices around the cloth of a world, rows `own` of `x` (vertices, 3) [m], that may be touched."""
-    cloth = x[own]
+def _skin(pose: ColliderPose, x: np.ndarray, own: slice, world: int) -> tuple[np.ndarray, np.ndarray]:
+    """The body's vertices around the cloth of a world, rows `own` of `x` (vertices, 3) [m], and their unit normals."""
+    cloth, surface = x[own], pose.surfaces[world]
     if surface is None or not len(cloth):
-        return _Skin(np.zeros((0, 3)), np.zeros((0, 3)), Found.nothing(0))
+        return np.zeros((0, 3)), np.zeros((0, 3))
     low, high = cloth.min(axis=0) - SKIN_OVER_CLOTH, cloth.max(axis=0) + SKIN_OVER_CLOTH
-    places, normals = vertices_within(as_float64(surface.vertices), surface.surface.region_faces, low, high)
-    return _Skin(places, normals, Found.nothing(len(places), places + SKIN_OVER_CLOTH * normals))
+    skin: tuple[np.ndarray, np.ndarray] = vertices_within(
+        as_float64(surface.vertices), surface.surface.region_faces, low, high
+    )
+    return skin
+
+
+def _body(pose: ColliderPose, planes: ContactPlanes, world: int) -> Body:
+    """The body of a world; of what is out of reach no more is known than that."""
+    surface = pose.surfaces[world]
+    assert surface is not None
+    distances = np.minimum(as_float64(planes.distance), MOTION_REACH)
+    skin_faces = len(pose.colliders.world_faces[world])
+    return Body(surface.searched, surface.surface.names, skin_faces, as_float64(planes.points), distances)
+
+
+def _cloth(garments: PackedGarments, x: np.ndarray, world: int) -> Cloth:
+    """The cloth of a world where its vertices are, rows of `x` (vertices, 3) [m]."""
+    surface, rows = garments.surfaces[world], garments.world_vertices[world]
+    tree = surface.tree(x[rows])
+    parts = tree.order, tree.children, tree.bottoms, tree.levels
+    return Cloth(surface.faces, surface.names, surface.fans, *parts, rows.start, rows.stop)

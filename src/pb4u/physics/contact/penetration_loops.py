@@ -54,33 +54,6 @@ def vertices_within(
 
 
 @compiled
-def may_be_near(x: np.ndarray, corners: np.ndarray, distances: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Whether (elements,) the middle of each element may be nearer to the body than is wanted: it is no nearer than a
-    corner less the way from there.
-
-    Args:
-        x: (vertices, 3) [m].
-        corners: (elements, corners) of the elements.
-        distances: (vertices,) [m] from the body.
-        wanted: (vertices,) [m]; that of its first corner is an element's.
-    """
-    near = np.empty(len(corners), dtype=np.bool_)
-    count = corners.shape[1]
-    for row in range(len(corners)):
-        far = -np.inf
-        for k in range(count):
-            squared = 0.0
-            for axis in range(3):
-                middle = 0.0
-                for other in range(count):
-                    middle += x[corners[row, other], axis]
-                squared += (x[corners[row, k], axis] - middle / count) ** 2
-            far = max(far, distances[corners[row, k]] - np.sqrt(squared))
-        near[row] = far < wanted[corners[row, 0]]
-    return near
-
-
-@compiled
 def carry_found(found: Found, went: np.ndarray, x: np.ndarray, faces: np.ndarray) -> None:
     """Forget what was found of the faces that went, and keep where it lies on them now.
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pb4u.collision.jit import as_float64, compiled
-from pb4u.collision.nearest_points import Found
 from pb4u.collision.nearest_surface import PosedSurface
 
 SKIN_OVER_CLOTH = 0.02
@@ -46,32 +45,10 @@ class SkinCover:
         """
         near = cloth.nearest(places)
         nearest = near.triangle.numpy(), near.positions.numpy(), near.beyond_border.numpy()
-        return SkinCover._of(nearest, near.barycentric.numpy(), places, normals, cloth)
-
-    @staticmethod
-    def of(found: Found, places: np.ndarray, normals: np.ndarray, cloth: PosedSurface) -> SkinCover:
-        """The cover of some places by what was `found` of the cloth; the rest as in `at`.
-
-        Args:
-            found: the nearest points on the cloth.
-            places: (places, 3) [m] on the skin.
-            normals: (places, 3) unit normals of the skin.
-            cloth: the cloth where it is.
-        """
-        nearest = found.triangle, found.positions, found.beyond
-        return SkinCover._of(nearest, found.barycentric, places, normals, cloth)
-
-    @staticmethod
-    def _of(
-        nearest: tuple[np.ndarray, np.ndarray, np.ndarray],
-        barycentric: np.ndarray,
-        places: np.ndarray,
-        normals: np.ndarray,
-        cloth: PosedSurface,
-    ) -> SkinCover:
-        vertices, faces = as_float64(cloth.vertices), cloth.surface.faces
-        heights, distances, belongs = _described(nearest, places, normals, vertices, faces)
-        return SkinCover(heights, distances, belongs, nearest[0], barycentric)
+        heights, distances, belongs = described(
+            nearest, places, normals, as_float64(cloth.vertices), cloth.surface.faces
+        )
+        return SkinCover(heights, distances, belongs, nearest[0], near.barycentric.numpy())
 
     @property
     def shown(self) -> np.ndarray:
@@ -80,12 +57,17 @@ class SkinCover:
 
 
 @compiled
-def _described(
+def described(
     found: tuple, places: np.ndarray, normals: np.ndarray, vertices: np.ndarray, faces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Heights, distances and whether the cloth belongs to the skin, as in `SkinCover`.
 
-    Of what was `found` of the cloth: nearest face, nearest point [m], and whether that is on its border.
+    Args:
+        found: of the cloth: nearest face, nearest point [m], and whether that is on its border.
+        places: (places, 3) [m] on the skin.
+        normals: (places, 3) unit normals of the skin.
+        vertices: (vertices, 3) [m] of the cloth.
+        faces: (faces, 3) int64 of the cloth.
     """
     triangle, nearest, beyond = found
     heights, distances = np.empty(len(places)), np.empty(len(places))

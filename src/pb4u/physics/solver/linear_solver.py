@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pb4u.collision.jit import compiled_with_fused_products
+from pb4u.collision.lanes import lanes_at, padded, put_lanes, spread
 from pb4u.physics.solver.preconditioner import Functions, TwoLevelPreconditioner, precondition
 from pb4u.physics.terms.pair_stiffness import PairStiffness, add_product
 from pb4u.physics.terms.stiffness_matrix import SymmetricBlocks, multiply
@@ -53,31 +54,18 @@ def conjugate_gradient(
         max_iterations: products after which it stops.
         start: (vertices, 3) [m] a solution of a system near this one; 0 by default.
     """
-    precision = matrix.blocks.dtype
-    solution = np.zeros(right.shape, precision) if start is None else start.astype(precision)
-    direction = np.empty(right.shape, precision)
-    iterations, negative = _iterate(
-        (matrix.starts, matrix.columns, matrix.blocks, pairs.corners, pairs.rows.astype(precision)),
+    solution, negative = np.empty(right.shape), np.empty(right.shape)
+    iterations, is_negative = _iterate(
+        (matrix.starts, matrix.columns, matrix.blocks, pairs.corners, pairs.rows.reshape(-1, 3)),
         preconditioner.parts,
-        right.astype(precision),
+        right,
         tolerance,
         max_iterations,
-        start is not None,
+        right[:0] if start is None else start,
         solution,
-        direction,
+        negative,
     )
-    return LinearSolution(solution.astype(right.dtype), iterations, direction.astype(right.dtype) if negative else None)
-
-
-@compiled_with_fused_products
-def _inner(a: np.ndarray, b: np.ndarray) -> float:
-    """Inner product of `a` (vertices, 3) and `b` (vertices, 3)."""
-    x, y, z = 0.0, 0.0, 0.0
-    for row in range(len(a)):
-        x += a[row, 0] * b[row, 0]
-        y += a[row, 1] * b[row, 1]
-        z += a[row, 2] * b[row, 2]
-    return x + y + z
+    return LinearSolution(solution, iterations, negative if is_negative else None)
 
 
 @compiled_with_fused_products
@@ -87,48 +75,52 @@ def _iterate(
     right: np.ndarray,
     tolerance: float,
     max_iterations: int,
-    started: bool,
+    start: np.ndarray,
     solution: np.ndarray,
-    direction: np.ndarray,
+    negative: np.ndarray,
 ) -> tuple[int, bool]:
-    """Products made by `conjugate_gradient`, and whether `direction` (vertices, 3) [m] is left as one not positive.
+    """Products made by `conjugate_gradient`, and whether it stopped at a direction that is not positive.
 
-    Changes `solution` (vertices, 3) [m], which begins as 0 unless it is `started`.
+    Fills `solution` (vertices, 3) [m], and `negative` (vertices, 3) [m] with that direction. It begins with `start`, or
+    0 where that is empty. The loops have vectors (vertices, 4), as `pb4u.collision.lanes` does.
     """
-    starts, columns, blocks, corners, rows = system
-    fine, coarse, to_patches, to_vertices = preconditioner
-    residual, product, conditioned = right.copy(), np.empty_like(right), np.empty_like(right)
-    precondition(fine, coarse, to_patches, to_vertices, residual, direction)
-    measure = _inner(residual, direction)
+    starts, columns, blocks, corners, pairs = system
+    number = blocks.dtype.type
+    rows, residual = padded(pairs, number), padded(right, number)
+    direction, product, conditioned = np.zeros_like(residual), np.empty_like(residual), np.empty_like(residual)
+    reached = padded(start, number) if len(start) else np.zeros_like(residual)
+    measure = precondition(preconditioner, residual, direction)
     target = tolerance * tolerance * measure
-    if started:
-        multiply(starts, columns, blocks, solution, product)
-        add_product(corners, rows, solution, product)
-        for row in range(len(right)):
-            for axis in range(3):
-                residual[row, axis] -= product[row, axis]
-        precondition(fine, coarse, to_patches, to_vertices, residual, direction)
-        measure = _inner(residual, direction)
-    if not measure > target:
-        return 0, False
-    for iteration in range(1, max_iterations + 1):
-        multiply(starts, columns, blocks, direction, product)
-        add_product(corners, rows, direction, product)
-        curvature = _inner(direction, product)
+    if len(start):
+        multiply(starts, columns, blocks, reached, product)
+        add_product(corners, rows, reached, product)
+        _add(number(-1.0), product, residual)
+        measure = precondition(preconditioner, residual, direction)
+    iteration, is_negative, is_solved = 0, False, not measure > target
+    while not is_solved and iteration < max_iterations:
+        iteration += 1
+        curvature = multiply(starts, columns, blocks, direction, product)
+        curvature += add_product(corners, rows, direction, product)
         if not curvature > 0.0:
-            return iteration, True
-        step = right.dtype.type(measure / curvature)
-        for row in range(len(right)):
-            for axis in range(3):
-                solution[row, axis] += step * direction[row, axis]
-                residual[row, axis] -= step * product[row, axis]
-        precondition(fine, coarse, to_patches, to_vertices, residual, conditioned)
-        new_measure = _inner(residual, conditioned)
-        if new_measure <= target:
-            return iteration, False
-        share = right.dtype.type(new_measure / measure)
-        for row in range(len(right)):
-            for axis in range(3):
-                direction[row, axis] = conditioned[row, axis] + share * direction[row, axis]
-        measure = new_measure
-    return max_iterations, False
+            is_negative = True
+            break
+        step = measure / curvature
+        _add(number(step), direction, reached)
+        _add(number(-step), product, residual)
+        before, measure = measure, precondition(preconditioner, residual, conditioned)
+        is_solved = measure <= target
+        _add(number(measure / before), direction, conditioned)
+        direction, conditioned = conditioned, direction
+    for row in range(len(right)):
+        for axis in range(3):
+            solution[row, axis], negative[row, axis] = reached[row, axis], direction[row, axis]
+    return iteration, is_negative
+
+
+@compiled_with_fused_products
+def _add(share: float, vector: np.ndarray, total: np.ndarray) -> None:
+    """Add a `share` of `vector` (vertices, 4) to `total` (vertices, 4)."""
+    shares = spread(share)
+    for row in range(len(total)):
+        place = 4 * row
+        put_lanes(total, place, lanes_at(total, place) + shares * lanes_at(vector, place))

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from pb4u.collision.jit import compiled_with_fused_products
+from pb4u.collision.lanes import as_doubles, block_at, lane, lanes_at, padded, put_lanes, spread, sum_of_three
 from pb4u.physics.terms.pair_stiffness import PairStiffness
 from pb4u.physics.terms.stiffness_matrix import SymmetricBlocks
 from pb4u.scene.packed import PackedGarments
@@ -28,7 +29,8 @@ _AGED, _FEW = 1.3, 5
 """Factor and number by which linear solves are longer than with new patches when these have aged."""
 
 Functions = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""A sparse matrix as first entries of its rows, columns and values of its entries."""
+"""Functions of the patches by vertex, or by patch: first entries of each, the patch or vertex of each entry, and the
+values (entries, 3) of the patch's functions at the vertex."""
 
 PRECISION = np.float32
 """Data type of the linear solves."""
@@ -46,7 +48,8 @@ class PatchBasis:
 
     Attributes:
         functions: sparse matrix (vertices, functions) of values that each vertex has along each axis.
-        by_vertex: its rows as arrays.
+        by_vertex: the same by vertex.
+        by_patch: the same by patch.
     """
 
     def __init__(self, garments: PackedGarments, free: np.ndarray) -> None:
@@ -59,7 +62,7 @@ class PatchBasis:
         for first, stop in pairwise(offsets):
             values, rows, columns = _affine_functions(rest[first:stop])
             blocks.append((values, rows + first, columns + column))
-            column += int(columns.max()) + 1
+            column += 3 * (int(columns.max()) // 3 + 1)
         values, rows, columns = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
         functions = coo_matrix((values, (rows, columns)), shape=(len(rest), column)).tocsr()
         pairs = np.concatenate([edges, edges[:, ::-1]])
@@ -68,7 +71,7 @@ class PatchBasis:
         for _ in range(_SMOOTHING_STEPS):
             functions = functions / 3.0 + average @ functions * (2.0 / 3.0)
         self.functions = (diags(free.astype(np.float64)) @ functions).tocsr()
-        self.by_vertex = _arrays(self.functions)
+        self.by_vertex, self.by_patch = _by_vertex_and_by_patch(self.functions)
 
     @cached_property
     def by_axis(self) -> Any:
@@ -78,9 +81,23 @@ class PatchBasis:
         return kron(self.functions, eye(3))
 
 
-def _arrays(matrix: Any) -> Functions:
-    """A sparse matrix by rows as arrays."""
-    return matrix.indptr, matrix.indices, matrix.data
+def _by_vertex_and_by_patch(functions: Any) -> tuple[Functions, Functions]:
+    """A sparse matrix (vertices, functions) of three functions a patch, by vertex and by patch."""
+    entries, (vertices, width) = functions.tocoo(), functions.shape
+    keys, place = np.unique(entries.row * (width // 3) + entries.col // 3, return_inverse=True)
+    values = np.zeros((len(keys), 3))
+    values[place, entries.col % 3] = entries.data
+    rows, patches = np.divmod(keys, width // 3)
+    order = np.argsort(patches, kind="stable")
+    return (
+        (_starts(rows, vertices), patches.astype(np.int32), values),
+        (_starts(patches[order], width // 3), rows[order].astype(np.int32), values[order]),
+    )
+
+
+def _starts(ascending: np.ndarray, count: int) -> np.ndarray:
+    """First places (count + 1,) int32 of the numbers 0, 1, .. in an `ascending` array, and its length."""
+    return np.searchsorted(ascending, np.arange(count + 1)).astype(np.int32)
 
 
 class TwoLevelPreconditioner:
@@ -106,8 +123,9 @@ class TwoLevelPreconditioner:
         precision: type[np.floating] = PRECISION,
     ) -> None:
         self.basis, self._free, self._precision = basis, free, precision
-        functions = basis.functions.astype(precision)
-        self._by_function, self._by_vertex = _arrays(functions.T.tocsr()), _arrays(functions)
+        self._by_patch, self._by_vertex = (
+            (starts, indices, values.astype(precision)) for starts, indices, values in (basis.by_patch, basis.by_vertex)
+        )
         self.refresh_patches(matrix, pairs)
         self.refresh_diagonal(matrix, pairs)
 
@@ -119,8 +137,9 @@ class TwoLevelPreconditioner:
             pairs: stiffness of the pairs in contact.
         """
         width = self.basis.functions.shape[1]
-        sums = np.zeros((width, width, 9))
-        _add_coarse(matrix.starts, matrix.columns, matrix.blocks.reshape(-1, 9), self.basis.by_vertex, sums)
+        sums, functions = np.zeros((width, width, 9)), self.basis.functions
+        entries = functions.indptr, functions.indices, functions.data
+        _add_coarse(matrix.starts, matrix.columns, matrix.blocks.reshape(-1, 9), entries, sums)
         coarse = sums.reshape(width, width, 3, 3).transpose(0, 2, 1, 3).reshape(3 * width, 3 * width)
         coarse += coarse.T
         if len(pairs):
@@ -143,14 +162,14 @@ class TwoLevelPreconditioner:
 
     @property
     def parts(self) -> tuple[np.ndarray, np.ndarray, Functions, Functions]:
-        """Inverses (vertices, 3, 3) and (coarse, coarse) [m/N]; the functions by function, and by vertex."""
-        return self._fine_inverse, self._coarse_inverse, self._by_function, self._by_vertex
+        """Inverses (vertices, 3, 3) and (coarse, coarse) [m/N]; the functions by patch, and by vertex."""
+        return self._fine_inverse, self._coarse_inverse, self._by_patch, self._by_vertex
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:
         """Approximate solution (vertices, 3) [m] for `residual` (vertices, 3) [N]."""
-        result = np.empty(residual.shape, self._precision)
-        precondition(*self.parts, residual.astype(self._precision), result)
-        return result
+        result = np.empty((len(residual), 4), self._precision)
+        precondition(self.parts, padded(residual, self._precision), result)
+        return result[:, :3]
 
 
 class AgeingPreconditioner:
@@ -239,59 +258,45 @@ def _affine_functions(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 @compiled_with_fused_products
 def precondition(
-    fine: np.ndarray,
-    coarse: np.ndarray,
-    to_patches: Functions,
-    to_vertices: Functions,
-    residual: np.ndarray,
-    result: np.ndarray,
-) -> None:
-    """Fill `result` (vertices, 3) [m] with the preconditioner times `residual` (vertices, 3) [N].
+    parts: tuple[np.ndarray, np.ndarray, Functions, Functions], residual: np.ndarray, result: np.ndarray
+) -> float:
+    """Fill `result` with the preconditioner times `residual`, and give back the inner product of the two.
 
     Args:
-        fine: inverse diagonal blocks of the vertices [m/N].
-        coarse: inverse stiffness of the patch motions.
-        to_patches: functions that sum vertices to patches.
-        to_vertices: functions that spread patches to vertices.
-        residual: (vertices, 3) [N].
-        result: (vertices, 3) [m], filled.
+        parts: those of `TwoLevelPreconditioner`.
+        residual: (vertices, 4) [N], whatever the fourth is.
+        result: (vertices, 4) [m], filled.
     """
+    fine, coarse, to_patches, to_vertices = parts
     starts, indices, values = to_patches
-    restricted, zero = np.empty(len(coarse), coarse.dtype), coarse.dtype.type(0.0)
-    for function in range(len(starts) - 1):
-        # Two sums each, since an addition waits for the one before it.
-        x0, y0, z0, x1, y1, z1 = zero, zero, zero, zero, zero, zero
-        first, stop = starts[function], starts[function + 1]
-        if (stop - first) % 2:
-            row = indices[first]
-            x1, y1, z1 = (
-                values[first] * residual[row, 0],
-                values[first] * residual[row, 1],
-                values[first] * residual[row, 2],
-            )
-            first += 1
-        for k in range(first, stop, 2):
-            row, other = indices[k], indices[k + 1]
-            x0 += values[k] * residual[row, 0]
-            y0 += values[k] * residual[row, 1]
-            z0 += values[k] * residual[row, 2]
-            x1 += values[k + 1] * residual[other, 0]
-            y1 += values[k + 1] * residual[other, 1]
-            z1 += values[k + 1] * residual[other, 2]
-        restricted[3 * function], restricted[3 * function + 1], restricted[3 * function + 2] = x0 + x1, y0 + y1, z0 + z1
-    moved = np.dot(coarse, restricted)
+    zero, total = spread(coarse.dtype.type(0.0)), spread(0.0)
+    # One more each, for the fourth lane of the last one.
+    restricted, moved = np.empty(len(coarse) + 1, coarse.dtype), np.empty(len(coarse) + 1, coarse.dtype)
+    for patch in range(len(starts) - 1):
+        a, b, c = zero, zero, zero
+        for k in range(starts[patch], starts[patch + 1]):
+            here = lanes_at(residual, 4 * indices[k])
+            a = spread(values[k, 0]) * here + a
+            b = spread(values[k, 1]) * here + b
+            c = spread(values[k, 2]) * here + c
+        put_lanes(restricted, 9 * patch, a)
+        put_lanes(restricted, 9 * patch + 3, b)
+        put_lanes(restricted, 9 * patch + 6, c)
+    np.dot(coarse, restricted[:-1], moved[:-1])
+    moved[-1] = 0.0
     starts, indices, values = to_vertices
     for row in range(len(residual)):
-        x, y, z = residual[row, 0], residual[row, 1], residual[row, 2]
-        a = fine[row, 0, 0] * x + fine[row, 0, 1] * y + fine[row, 0, 2] * z
-        b = fine[row, 1, 0] * x + fine[row, 1, 1] * y + fine[row, 1, 2] * z
-        c = fine[row, 2, 0] * x + fine[row, 2, 1] * y + fine[row, 2, 2] * z
+        here = lanes_at(residual, 4 * row)
+        first, second, third = block_at(fine, row)
+        own = first * spread(lane(here, 0)) + (second * spread(lane(here, 1)) + third * spread(lane(here, 2)))
         for k in range(starts[row], starts[row + 1]):
-            function = 3 * indices[k]
-            a += values[k] * moved[function]
-            b += values[k] * moved[function + 1]
-            c += values[k] * moved[function + 2]
-        result[row, 0], result[row, 1], result[row, 2] = a, b, c
+            place = 9 * indices[k]
+            own = spread(values[k, 0]) * lanes_at(moved, place) + own
+            own = spread(values[k, 1]) * lanes_at(moved, place + 3) + own
+            own = spread(values[k, 2]) * lanes_at(moved, place + 6) + own
+        put_lanes(result, 4 * row, own)
+        total = total + as_doubles(here * own)
+    return sum_of_three(total)
 
 
 @compiled_with_fused_products
@@ -314,13 +319,13 @@ def _add_coarse(
     starts: np.ndarray,
     columns: np.ndarray,
     blocks: np.ndarray,
-    functions: Functions,
+    functions: tuple[np.ndarray, np.ndarray, np.ndarray],
     coarse: np.ndarray,
 ) -> None:
     """Add half of P^T A P to `coarse` (functions, functions, 9): with its transpose it is the whole.
 
-    A is the matrix of `SymmetricBlocks`, its blocks (blocks, 9) by rows as those of the result; P has the values of the
-    `functions` by vertex.
+    A is the matrix of `SymmetricBlocks`, its blocks (blocks, 9) by rows as those of the result; P is a
+    sparse matrix, its first entries of rows, columns and values given.
     """
     first, indices, values = functions
     touched, known = np.empty(coarse.shape[0], dtype=np.int64), np.full(coarse.shape[0], -1)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pb4u.collision.jit import compiled_with_fused_products
+from pb4u.collision.lanes import lanes_at, padded, put_lanes, spread, sum_of_three
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +45,12 @@ class PairStiffness:
     def __len__(self) -> int:
         return len(self.corners)
 
+    def __matmul__(self, vector: np.ndarray) -> np.ndarray:
+        """Product (vertices, 3) [N] with a `vector` (vertices, 3) [m]."""
+        product = np.zeros((len(vector), 4))
+        add_product(self.corners, padded(self.rows.reshape(-1, 3), np.float64), padded(vector, np.float64), product)
+        return product[:, :3]
+
     def add_diagonal(self, blocks: np.ndarray) -> None:
         """Add the diagonal blocks of this matrix to `blocks` (vertices, 3, 3) [N/m].
 
@@ -66,23 +73,34 @@ class PairStiffness:
 
 
 @compiled_with_fused_products
-def add_product(corners: np.ndarray, rows: np.ndarray, vector: np.ndarray, product: np.ndarray) -> None:
-    """Add the matrix of `PairStiffness` times `vector` (vertices, 3) [m] to `product` (vertices, 3) [N].
+def add_product(corners: np.ndarray, rows: np.ndarray, vector: np.ndarray, product: np.ndarray) -> float:
+    """Add the matrix of `PairStiffness` times `vector` to `product`; gives back the inner product of what is added.
 
     Args:
         corners: (pairs, 4) int64 vertices of the pairs.
-        rows: (pairs, 4, 3) of `PairStiffness`.
-        vector: (vertices, 3) [m].
-        product: (vertices, 3) [N], changed.
+        rows: (4 pairs, 4) [(N/m)^0.5] rows of `PairStiffness`, and 0.
+        vector: (vertices, 4) [m], whatever the fourth is.
+        product: (vertices, 4) [N], changed.
     """
-    for row in range(len(corners)):
-        total = product.dtype.type(0.0)
-        for corner in range(4):
-            for axis in range(3):
-                total += rows[row, corner, axis] * vector[corners[row, corner], axis]
-        for corner in range(4):
-            for axis in range(3):
-                product[corners[row, corner], axis] += total * rows[row, corner, axis]
+    squared = 0.0
+    for pair in range(len(corners)):
+        place = 16 * pair
+        a, b, c, d = (
+            lanes_at(rows, place),
+            lanes_at(rows, place + 4),
+            lanes_at(rows, place + 8),
+            lanes_at(rows, place + 12),
+        )
+        i, j, k, m = 4 * corners[pair, 0], 4 * corners[pair, 1], 4 * corners[pair, 2], 4 * corners[pair, 3]
+        sums = (a * lanes_at(vector, i) + b * lanes_at(vector, j)) + (c * lanes_at(vector, k) + d * lanes_at(vector, m))
+        total = sum_of_three(sums)
+        share = spread(total)
+        put_lanes(product, i, lanes_at(product, i) + a * share)
+        put_lanes(product, j, lanes_at(product, j) + b * share)
+        put_lanes(product, k, lanes_at(product, k) + c * share)
+        put_lanes(product, m, lanes_at(product, m) + d * share)
+        squared += total * total
+    return squared
 
 
 @compiled_with_fused_products

@@ -12,6 +12,17 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.jit import compiled_with_fused_products
+from pb4u.collision.lanes import (
+    as_doubles,
+    block_at,
+    lane,
+    lanes_at,
+    padded,
+    put_lanes,
+    spread,
+    sum_of_three,
+    sums_of_three,
+)
 from pb4u.scene.packed import PackedGarments
 
 
@@ -109,18 +120,11 @@ class Stiffness:
             before: the same, made when no more than the positive part's diagonal blocks was other; changed. None for
                 none.
         """
-        own = self.pattern.starts[:-1]
-        if before is not None:
-            shift = share * self.compressive[own]
-            _shift(self.positive, shift if extra is None else shift + extra, before.blocks, own)
-            return before
-        blocks = self.positive
-        if share or extra is not None or precision is not np.float64:
-            shift = share * self.compressive
-            if extra is not None:
-                shift[own] += extra
-            blocks = np.empty(blocks.shape, precision)
-            _shift(self.positive, shift, blocks, np.arange(len(blocks)))
+        if not share and extra is None and precision is np.float64:
+            return SymmetricBlocks(self.pattern.starts, self.pattern.columns, self.positive)
+        blocks = np.empty(self.positive.shape, precision) if before is None else before.blocks
+        extra = np.zeros(0) if extra is None else extra
+        _fill(self.positive, self.compressive, self.pattern.starts, share, extra, before is not None, blocks)
         return SymmetricBlocks(self.pattern.starts, self.pattern.columns, blocks)
 
 
@@ -146,9 +150,9 @@ class SymmetricBlocks:
 
     def __matmul__(self, vector: np.ndarray) -> np.ndarray:
         """Product (vertices, 3) [N] with a `vector` (vertices, 3) [m]."""
-        product = np.empty_like(vector)
-        multiply(self.starts, self.columns, self.blocks, vector, product)
-        return product
+        product = np.empty((len(vector), 4), self.blocks.dtype)
+        multiply(self.starts, self.columns, self.blocks, padded(vector, self.blocks.dtype), product)
+        return product[:, :3]
 
     def toarray(self) -> Any:
         """The whole matrix (3 vertices, 3 vertices) [N/m]."""
@@ -168,46 +172,62 @@ def _pair_keys(elements: Tensor, count: int) -> Tensor:
 
 
 @compiled_with_fused_products
-def _shift(blocks: np.ndarray, shift: np.ndarray, result: np.ndarray, chosen: np.ndarray) -> None:
-    """Fill the `chosen` of `result` with `blocks` (blocks, 3, 3) and multiples `shift` (chosen,) of the identity."""
-    for row in range(len(chosen)):
-        block = chosen[row]
-        for i in range(3):
-            for j in range(3):
-                result[block, i, j] = blocks[block, i, j] + (shift[row] if i == j else 0.0)
+def _fill(
+    positive: np.ndarray,
+    compressive: np.ndarray,
+    starts: np.ndarray,
+    share: float,
+    extra: np.ndarray,
+    own: bool,
+    result: np.ndarray,
+) -> None:
+    """Fill `result` with the `positive` blocks (blocks, 3, 3), a `share` of the `compressive` ones and `extra`.
+
+    `own`: of no more than the diagonal ones. Without `extra` (vertices,) there is none.
+    """
+    for row in range(len(starts) - 1):
+        for block in range(starts[row], starts[row] + 1 if own else starts[row + 1]):
+            shift = share * compressive[block]
+            if block == starts[row] and len(extra):
+                shift += extra[row]
+            for i in range(3):
+                for j in range(3):
+                    result[block, i, j] = positive[block, i, j] + (shift if i == j else 0.0)
 
 
 @compiled_with_fused_products
 def multiply(
     starts: np.ndarray, columns: np.ndarray, blocks: np.ndarray, vector: np.ndarray, product: np.ndarray
-) -> None:
-    """Fill `product` (vertices, 3) [N] with the `SymmetricBlocks` times `vector` (vertices, 3) [m].
+) -> float:
+    """Fill `product` with the `SymmetricBlocks` times `vector`, and give back the inner product of the two.
 
     Args:
-        starts: (vertices + 1,) int64 first entry of each row.
-        columns: (entries,) int64 column of each entry.
+        starts: (vertices + 1,) int32 first entry of each row.
+        columns: (entries,) int32 column of each entry.
         blocks: (entries, 3, 3) [N/m].
-        vector: (vertices, 3) [m].
-        product: (vertices, 3) [N], filled.
+        vector: (vertices, 4) [m], whatever the fourth is.
+        product: (vertices, 4) [N], filled.
     """
+    zero, total = spread(blocks.dtype.type(0.0)), spread(0.0)
     for row in range(len(product)):
-        for axis in range(3):
-            product[row, axis] = 0.0
+        put_lanes(product, 4 * row, zero)
     for row in range(len(product)):
-        own = starts[row]
-        x, y, z = vector[row, 0], vector[row, 1], vector[row, 2]
-        a = blocks[own, 0, 0] * x + blocks[own, 0, 1] * y + blocks[own, 0, 2] * z
-        b = blocks[own, 1, 0] * x + blocks[own, 1, 1] * y + blocks[own, 1, 2] * z
-        c = blocks[own, 2, 0] * x + blocks[own, 2, 1] * y + blocks[own, 2, 2] * z
+        own, here = starts[row], lanes_at(vector, 4 * row)
+        x, y, z = spread(lane(here, 0)), spread(lane(here, 1)), spread(lane(here, 2))
+        a, b, c = zero, zero, zero
         for block in range(own + 1, starts[row + 1]):
-            column = columns[block]
-            u, v, w = vector[column, 0], vector[column, 1], vector[column, 2]
-            a += blocks[block, 0, 0] * u + blocks[block, 0, 1] * v + blocks[block, 0, 2] * w
-            b += blocks[block, 1, 0] * u + blocks[block, 1, 1] * v + blocks[block, 1, 2] * w
-            c += blocks[block, 2, 0] * u + blocks[block, 2, 1] * v + blocks[block, 2, 2] * w
-            product[column, 0] += blocks[block, 0, 0] * x + blocks[block, 1, 0] * y + blocks[block, 2, 0] * z
-            product[column, 1] += blocks[block, 0, 1] * x + blocks[block, 1, 1] * y + blocks[block, 2, 1] * z
-            product[column, 2] += blocks[block, 0, 2] * x + blocks[block, 1, 2] * y + blocks[block, 2, 2] * z
-        product[row, 0] += a
-        product[row, 1] += b
-        product[row, 2] += c
+            there = 4 * columns[block]
+            other = lanes_at(vector, there)
+            # Behind a block the array goes on: that of the last vertex comes last, and is its own.
+            first, second, third = (
+                lanes_at(blocks, 9 * block),
+                lanes_at(blocks, 9 * block + 3),
+                lanes_at(blocks, 9 * block + 6),
+            )
+            a, b, c = first * other + a, second * other + b, third * other + c
+            put_lanes(product, there, lanes_at(product, there) + (first * x + (second * y + third * z)))
+        first, second, third = block_at(blocks, own)
+        upper, diagonal = sums_of_three(a, b, c), first * x + (second * y + third * z)
+        put_lanes(product, 4 * row, lanes_at(product, 4 * row) + (upper + diagonal))
+        total = total + as_doubles(here * (diagonal + (upper + upper)))
+    return sum_of_three(total)
