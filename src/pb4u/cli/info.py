@@ -139,7 +139,7 @@ def describe_trajectory(path: Path) -> list[dict[str, Any]]:
             area = float(garment.face_areas @ share / garment.face_areas.sum())
             if area > 0.0:
                 fabrics[name] = round(fabrics.get(name, 0.0) + area, 4)
-        parts = {}
+        parts: dict[str, dict[str, Any]] = {}
         for part in garment.sewn:
             made = {name: given for name, given in vars(part).items() if given is not None and name != "name"}
             parts[part.name] = made if part.material is None else made | {"material": named(part.material)}
