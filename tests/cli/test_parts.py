@@ -15,6 +15,7 @@ from tests.pattern.patterns import skirt as pattern_of_a_skirt
 import pb4u as package
 from pb4u.body.library import load_body
 from pb4u.cli.run_flags import GarmentValue, run_of
+from pb4u.garment.drafted import DRAFTED
 from pb4u.garment.library import build_garment
 from pb4u.garment.material import FABRICS, MATERIALS
 from pb4u.geometry.obj_file import read_obj
@@ -209,8 +210,32 @@ def test_info_tells_fabrics_of_a_trajectory(pb4u: Callable, skirt: Path, tmp_pat
     assert (two["buttons"], cardigan["buttons"], cardigan["fabrics"]) == (0, 4, {"wool": 1.0})
     assert list(two["fabrics"]) == ["silk", "denim", "another of 0.33 kg/m2"]
     assert sum(two["fabrics"].values()) == pytest.approx(1.0, abs=1e-3)
+    assert two["parts"] == {
+        "waistband": {"material": "denim"}, "hem": {"material": "another of 0.33 kg/m2", "width": 0.02},
+    }  # fmt: skip
+    assert "waistband (denim)" in ended.out
+    assert cardigan["parts"] == {}
     (tmp_path / "no.npz").write_text("no")
     assert pb4u("info", "--trajectory", tmp_path / "no.npz").code == 1
+
+
+def test_info_tells_what_is_sewn_to_built_in_garments(pb4u: Callable, tmp_path: Path) -> None:
+    flags = ("--triangles", 900, "--elastic", "skirt.waist=0.8", "--interfacing", "skirt.hem=1e-4")
+    ended = pb4u("simulate", "--garment", "skirt", *flags, *SMALL, "--out", tmp_path / "a.npz")
+    assert ended.code == 0, ended.err
+    (told,) = json.loads(pb4u("info", "--trajectory", tmp_path / "a.npz", "--json", "-").out)["garments"]
+    assert told["parts"] == {
+        "waist": {"material": "elastic", "elastic": 0.8, "width": 0.035},
+        "hem": {"layers": 2, "interfacing": 1e-4, "width": 0.02},
+    }
+
+
+def test_what_is_sewn_on_drafted_parts_stays_under_another_fabric(pb4u: Callable, tmp_path: Path) -> None:
+    flags = ("--triangles", 1200, "--material", "jeans.band=linen")
+    ended = pb4u("simulate", "--garment", "jeans", *flags, *SMALL, "--out", tmp_path / "a.npz")
+    assert ended.code == 0, ended.err
+    (told,) = json.loads(pb4u("info", "--trajectory", tmp_path / "a.npz", "--json", "-").out)["garments"]
+    assert told["parts"] == {"band": {"material": "linen", "layers": 2, "interfacing": DRAFTED["jeans"].parts["band"]}}
 
 
 def test_a_panel_of_a_pattern_has_a_fabric_of_its_own(pb4u: Callable, tmp_path: Path) -> None:

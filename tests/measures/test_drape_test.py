@@ -25,6 +25,7 @@ def test_a_jersey_drapes_as_knits_do_and_foam_stands() -> None:
     assert band.lowest - 8.0 < knit.coefficient < band.highest + 8.0
     assert foam.coefficient > 80.0
     assert knit.unsolved == foam.unsolved == 0
+    assert max(knit.speed, foam.speed) < 0.01
 
 
 def test_an_edge_that_makes_no_folds_is_refused() -> None:

@@ -36,7 +36,7 @@ def info(
 
     Args:
         model: Also describe a network: what it is, its size, training and licence.
-        trajectory: Also tell the garments of a trajectory, and the fabrics that each is made of.
+        trajectory: Also tell the garments of a trajectory, the fabrics of each and what its parts are made of.
         json: file for the result.
     """
     check_json_target(json)
@@ -110,7 +110,7 @@ def describe_model(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def describe_trajectory(path: Path) -> list[dict[str, Any]]:
-    """Each garment of a trajectory: name, triangles, shares of its area by fabric, panels and number of buttons.
+    """Each garment of a trajectory: name, triangles, shares of its area by fabric, parts, panels and number of buttons.
 
     Args:
         path: of the .npz.
@@ -118,12 +118,16 @@ def describe_trajectory(path: Path) -> list[dict[str, Any]]:
     Raises:
         InputError: it is no trajectory.
     """
-    from pb4u.garment.material import FABRICS, MATERIALS
+    from pb4u.garment.material import FABRICS, MATERIALS, Material
     from pb4u.measures.metrics import garments_of
     from pb4u.scene.trajectory import Trajectory
 
     opened = Trajectory.open(path)
     names = {material: name for name, material in [*FABRICS.items(), *MATERIALS.items()]}
+
+    def named(material: Material) -> str:
+        return names.get(material, f"another of {material.density:g} kg/m2")
+
     buttons = opened.header.buttons
     of_garment = [] if buttons is None else opened.header.vertex_garment[buttons].tolist()
     listed = []
@@ -131,13 +135,17 @@ def describe_trajectory(path: Path) -> list[dict[str, Any]]:
         layers = garment.layers / garment.layers.sum(axis=1, keepdims=True)
         fabrics: dict[str, float] = {}
         for material, share in zip(garment.materials or (garment.material,), layers.T, strict=True):
-            name = names.get(material, f"another of {material.density:g} kg/m2")
+            name = named(material)
             area = float(garment.face_areas @ share / garment.face_areas.sum())
             if area > 0.0:
                 fabrics[name] = round(fabrics.get(name, 0.0) + area, 4)
+        parts: dict[str, dict[str, Any]] = {}
+        for part in garment.sewn:
+            made = {name: given for name, given in vars(part).items() if given is not None and name != "name"}
+            parts[part.name] = made if part.material is None else made | {"material": named(part.material)}
         listed.append(
             {
-                "name": garment.name, "triangles": len(garment.faces), "fabrics": fabrics,
+                "name": garment.name, "triangles": len(garment.faces), "fabrics": fabrics, "parts": parts,
                 "panels": entry.get("panels", []), "buttons": of_garment.count(number),
             }
         )  # fmt: skip
@@ -147,8 +155,19 @@ def describe_trajectory(path: Path) -> list[dict[str, Any]]:
 def _told(garment: dict[str, Any]) -> str:
     fabrics = sorted(garment["fabrics"].items(), key=lambda each: -each[1])
     told = f"{garment['name']}: {garment['triangles']} triangles of " + ", ".join(f"{n} {s:.0%}" for n, s in fabrics)
+    parts = [_told_part(name, made) for name, made in garment["parts"].items()]
+    told += f"; {', '.join(parts)}" if parts else ""
     told += f"; panels {', '.join(garment['panels'])}" if garment["panels"] else ""
     return told + (f"; {garment['buttons']} buttons" if garment["buttons"] else "")
+
+
+def _told_part(name: str, made: dict[str, Any]) -> str:
+    """A part and what it is made of, as `hem (2 layers)`."""
+    words = {
+        "material": "{}", "layers": "{} layers", "interfacing": "interfacing of {} N m",
+        "elastic": "elastic of {} times the length", "width": "{} m wide",
+    }  # fmt: skip
+    return f"{name} ({', '.join(words[key].format(given) for key, given in made.items())})"
 
 
 def _version(package: str) -> str:

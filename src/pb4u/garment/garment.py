@@ -14,7 +14,7 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.garment.material import DirectionalBending, Material
-from pb4u.garment.trims import Trims
+from pb4u.garment.trims import SewnPart, Trims
 from pb4u.geometry.appearance import Appearances
 from pb4u.geometry.mesh_arrays import as_numbers, checked_faces, checked_places, checked_uvs, checked_vertices
 from pb4u.geometry.mesh_file import PolygonMesh
@@ -118,6 +118,7 @@ class Garment:
         material_layers: (faces, materials) float64 number of layers of each of the `materials` on each face, in the
             mean of its area; left out, each face is one layer of one.
         trims: interfacing and elastic of its faces; None for none.
+        sewn: what its parts have that the rest of it has not.
         pieces: names of parts of its file, each once; left out, those of its `appearances`.
         piece_of_face: (faces,) int64 which of the `pieces` each face belongs to, -1 for none; or None.
         springs: on which its pins are held; None where they hold exactly, and always.
@@ -148,6 +149,7 @@ class Garment:
     face_material: np.ndarray | None = None
     material_layers: np.ndarray | None = None
     trims: Trims | None = None
+    sewn: tuple[SewnPart, ...] = ()
     pieces: tuple[str, ...] = ()
     piece_of_face: np.ndarray | None = None
     springs: PinSprings | None = None
@@ -369,7 +371,8 @@ class Garment:
         return len(self.faces)
 
     def with_material(self, material: Material) -> Garment:
-        other = replace(self, material=material, materials=(), face_material=None, material_layers=None)
+        sewn = tuple(replace(part, material=None) for part in self.sewn)
+        other = replace(self, material=material, materials=(), face_material=None, material_layers=None, sewn=sewn)
         return other if self.material_layers is None else other.with_layers((material,), self.layers.sum(1)[:, None])
 
     def with_part(self, material: Material, faces: np.ndarray) -> Garment:

@@ -16,7 +16,7 @@ import numpy as np
 from pb4u.errors import InputError, refuse_unknown
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import FABRICS, Material
-from pb4u.garment.trims import Trims
+from pb4u.garment.trims import SewnPart, Trims
 from pb4u.geometry.topology import connected_labels, uv_islands
 from pb4u.geometry.triangle_mesh import both_below, carried_directions, nearest_segments, shares_below
 
@@ -263,7 +263,14 @@ def with_parts(
             garment, [part for part in parts if part.name in elastic], garment.trims.elastic / before.elastic
         )
         garment = replace(garment, rest_uv=gathered, grainless=not garment.has_grain)
-    return garment
+    sewn = {part.name: part for part in garment.sewn}
+    for part in parts:
+        name, width = part.name, widths.get(part.name, WIDTHS[part.name]) if part.is_band else None
+        made = SewnPart(
+            name, materials.get(name), layers.get(name), interfacing.get(name), elastic.get(name), width
+        )  # fmt: skip
+        sewn[name] = sewn.get(name, made).with_all_of(made)
+    return replace(garment, sewn=tuple(sewn.values()))
 
 
 class _Gather(NamedTuple):

@@ -1,10 +1,12 @@
-"""What is sewn to the cloth of a garment: interfacing and elastic."""
+"""What is sewn to the cloth of a garment: interfacing and elastic of its faces, and all of it by part."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+from pb4u.garment.material import Material
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,3 +61,32 @@ class Trims:
             strain, growth = values.T
             return np.stack([(1.0 + strain) / np.minimum(self.elastic, 1.0) - 1.0, growth], axis=1)
         return values
+
+
+@dataclass(frozen=True)
+class SewnPart:
+    """What was asked for on a part of a garment; None is as the cloth beneath is.
+
+    Args:
+        name: of the part.
+        material: that it is made of.
+        layers: number of them.
+        interfacing: bending stiffness that is added [N m].
+        elastic: rest length along the border over that of the cloth.
+        width: of a band [m]; None of a piece.
+    """
+
+    name: str
+    material: Material | None = None
+    layers: float | None = None
+    interfacing: float | None = None
+    elastic: float | None = None
+    width: float | None = None
+
+    def with_all_of(self, other: SewnPart) -> SewnPart:
+        """With what was asked for on it later in the place of its own.
+
+        Args:
+            other: of the same name.
+        """
+        return replace(self, **{name: given for name, given in vars(other).items() if given is not None})

@@ -17,7 +17,7 @@ from pb4u.environment import Environment
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
-from pb4u.garment.trims import Trims
+from pb4u.garment.trims import SewnPart, Trims
 from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import area_weighted_normals, vertex_areas
@@ -204,6 +204,7 @@ def _garment(header: TrajectoryHeader, entry: dict[str, Any]) -> Garment:
         header.pinned[vertices],
         rest_uv=flat,
         grainless=not entry.get("has_grain", True),
+        sewn=tuple(_sewn(part) for part in entry.get("parts", ())),
         trims=None if header.trims is None else Trims(*np.asarray(header.trims[triangles], dtype=np.float64).T),
     )
     if header.material_layers is not None:
@@ -212,6 +213,11 @@ def _garment(header: TrajectoryHeader, entry: dict[str, Any]) -> Garment:
         materials = [Material.of(header.metadata["materials"][k]) for k in own]
         return replace(garment, materials=tuple(materials), material_layers=layers[:, own])
     return replace(garment, materials=tuple(materials), face_material=places[triangles]) if materials else garment
+
+
+def _sewn(listed: dict[str, Any]) -> SewnPart:
+    material = listed["material"]
+    return SewnPart(**{**listed, "material": None if material is None else Material.of(material)})
 
 
 def visible_skin(

@@ -38,6 +38,6 @@ def drafted_garment(name: str, body: ShapedBody, triangles: int) -> Garment:
         ]
         of_face = np.array(of_panel)[uv_islands(garment.uv_faces)]
         garment = replace(garment, pieces=tuple(kind.parts), piece_of_face=of_face)
-        layers = dict.fromkeys(kind.parts, 2.0)
+        layers = dict.fromkeys(kind.parts, 2)
         garment = with_parts(garment, {}, {}, layers, kind.parts, {})
     return garment if kind.pins == "none" else garment.with_pins(resolve_pins(kind.pins, garment))

@@ -86,6 +86,7 @@ class TrajectoryHeader:
                 "rest_area": float(garment.face_areas.sum()),
                 "has_grain": garment.has_grain,
                 **({"panels": list(garment.panels)} if garment.panels else {}),
+                **({"parts": [asdict(part) for part in garment.sewn]} if garment.sewn else {}),
             }
             for k, garment in enumerate(garments)
         ]
