@@ -41,6 +41,7 @@ class Camera:
 
     def __init__(self, trajectory: Trajectory, view: View, frames: Sequence[int]) -> None:
         self._trajectory, self._view = trajectory, view
+        self._feet: dict[int, np.ndarray] = {}
         heights = [points[:, 1] for t in frames if len(points := self._visible(t)[0])]
         stands = view.show_body and trajectory.body_positions.shape[1] > 0
         low = 0.0 if stands else min((float(each.min()) for each in heights), default=0.0)
@@ -74,8 +75,10 @@ class Camera:
         Args:
             t: number of the frame.
         """
-        x, _, z = np.median(self.wearer(t), axis=0)
-        return np.array([x, 0.0, z])
+        if t not in self._feet:
+            x, _, z = np.median(self.wearer(t), axis=0)
+            self._feet[t] = np.array([x, 0.0, z])
+        return self._feet[t]
 
     def target(self, t: int) -> np.ndarray:
         """(3,) point [m] that it looks at: halfway between what reaches farthest to both sides.
@@ -91,7 +94,8 @@ class Camera:
     def _needed_distance(self, t: int) -> float:
         """Distance of the camera [m] from which frame t lies within the picture."""
         points, cloth = self._visible(t)
-        aside, upward, towards = ((points + self.foot(t) - self.target(t)) @ axis for axis in self.axes(t))
+        seen = points + self.foot(t) - self.target(t)
+        aside, upward, towards = (seen @ axis for axis in self.axes(t))
         sides, heights = np.abs(aside) * self._view.height / self._view.width, np.abs(upward)
 
         def needed(spread: np.ndarray) -> float:

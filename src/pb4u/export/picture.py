@@ -15,6 +15,7 @@ from pb4u.export.video_writer import open_video
 from pb4u.export.view import View
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.trajectory import Trajectory
+from pb4u.threads import prefetch
 
 _GIF_FPS = 15.0
 """Frames per second of a GIF at most; those beyond are left out, since more make files large."""
@@ -130,8 +131,9 @@ def save_mp4(pictures: Iterable[np.ndarray], path: Path, fps: float, size: tuple
         Pb4uError: the encoder cannot write the file.
     """
     with open_video(path, fps, size) as writer:
-        for picture in pictures:
-            writer.write(picture)
+        # A picture is encoded while the next is drawn.
+        for _ in prefetch(writer.write, pictures):
+            pass
     return f"is in {writer.codec}."
 
 

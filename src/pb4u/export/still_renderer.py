@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
 from pb4u.errors import Pb4uError
 from pb4u.export.buttons import Buttons, buttons_on
@@ -19,7 +18,7 @@ from pb4u.export.sewing_lines import ABOVE, SewingLines, sewn_parts
 from pb4u.export.shading import LIGHTS, SKIN, ClothPart, Colour
 from pb4u.export.threads import SIDE, THREADS, thread_image, uvs_in_metres
 from pb4u.export.view import View
-from pb4u.geometry.triangle_mesh import vertex_normals
+from pb4u.geometry.triangle_mesh import area_weighted_normals
 from pb4u.scene.author_mesh import split_seams
 from pb4u.scene.trajectory import Trajectory
 
@@ -266,7 +265,7 @@ def _move(mesh: pyvista.PolyData, points: np.ndarray, normals: np.ndarray) -> No
 
 
 def _normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    return vertex_normals(torch.from_numpy(_finite(points)), torch.from_numpy(np.array(faces))).numpy()
+    return area_weighted_normals(_finite(points), faces).astype(np.float32)
 
 
 def _finite(points: np.ndarray) -> np.ndarray:
