@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 DECISIONS = sorted((ROOT / "docs" / "decisions").glob("*.md"))
 PATH = re.compile(r"`((?:[\w.-]+/)+[\w.-]*|[\w-]+\.(?:py|md|toml))(?:::?\w+)?`")
 COMMIT = re.compile(r"\bcommit `?[0-9a-f]{7,40}\b")
-HISTORY = {ROOT / "CHANGELOG.md", ROOT / "docs" / "lab_log.md"}
+HISTORY = {ROOT / "CHANGELOG.md", ROOT / "LAB_LOG.md"}
 
 
 def _exists(path: str) -> bool:
