@@ -1,0 +1,56 @@
+"""Every table of figures names its commit, date and machine, and the tool finds those whose code changed since."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+from pathlib import Path
+
+import pytest
+from tools.stale import SOURCES, report, sources
+
+ROOT = Path(__file__).parents[2]
+ENTRIES = sources(ROOT)
+
+
+@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry["title"])
+def test_what_an_entry_names_is_there(entry: dict) -> None:
+    absent = [path for path in (*entry["files"], *entry["code"]) if not (ROOT / path).exists()]
+    assert not absent
+    assert all(entry[key] for key in ("title", "command", "commit", "date", "machine"))
+
+
+def test_every_table_has_an_entry_and_rows_as_long_as_its_head() -> None:
+    named = {file for entry in ENTRIES for file in entry["files"]}
+    tables = sorted((ROOT / "docs" / "results").rglob("*.csv"))
+    assert [table for table in tables if str(table.relative_to(ROOT)) not in named] == []
+    for table in tables:
+        with table.open(newline="", encoding="utf-8") as stream:
+            head, *rows = csv.reader(stream)
+        assert rows
+        assert {len(row) for row in rows} == {len(head)}, table
+
+
+def test_figures_are_stale_once_their_code_has_changed(tmp_path: Path) -> None:
+    def git(*words: str) -> str:
+        call = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@example.org", *words]
+        return subprocess.run(call, check=True, capture_output=True, text=True).stdout.strip()
+
+    def commit(file: str, text: str) -> str:
+        path = tmp_path / file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        git("add", "-A")
+        git("commit", "-qm", file)
+        return git("rev-parse", "--short", "HEAD")
+
+    git("init", "-q")
+    made = commit("src/solver.py", "1")
+    entry = f'title = "Times"\nfiles = ["page.md"]\ncommit = "{made}"\ndate = 2026-11-28\nmachine = "two cores"\n'
+    commit(str(SOURCES), f'[code]\nsolver = ["src"]\n\n[[figures]]\n{entry}code = ["solver"]\n')
+    assert [is_stale for is_stale, _ in report(tmp_path)] == [False]
+    commit("src/solver.py", "2")
+    ((is_stale, line),) = report(tmp_path)
+    assert is_stale
+    assert "Times: stale, 1 commits since" in line
+    assert list(report(tmp_path, "other")) == []
