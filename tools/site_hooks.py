@@ -30,15 +30,15 @@ _VERBS, _ENTRIES = "<!-- verbs -->", "<!-- entries -->"
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Draw fences of formulas, and list the decisions in the navigation, the latest first."""
+    """Draw fences of formulas, and list the design pages in the navigation."""
     config.mdx_configs["pymdownx.superfences"] = {
         "custom_fences": [{"name": "math", "class": "math", "format": formula}]
     }
-    pages = sorted((ROOT / "docs" / "decisions").glob("*.md"), reverse=True)
-    listed = [{page.read_text().splitlines()[0].lstrip("# "): f"decisions/{page.name}"} for page in pages]
+    pages = sorted((ROOT / "docs" / "design").glob("*.md"), key=lambda page: (page.stem != "index", page.stem))
+    listed = [{page.read_text().splitlines()[0].lstrip("# "): f"design/{page.name}"} for page in pages]
     for section in config.nav or []:
-        if isinstance(section, dict) and "Decisions" in section:
-            section["Decisions"] = listed
+        if isinstance(section, dict) and "Design" in section:
+            section["Design"] = listed
     return config
 
 
