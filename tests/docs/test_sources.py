@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import subprocess
 from pathlib import Path
 
@@ -29,6 +30,31 @@ def test_every_table_has_an_entry_and_rows_as_long_as_its_head() -> None:
             head, *rows = csv.reader(stream)
         assert rows
         assert {len(row) for row in rows} == {len(head)}, table
+
+
+def test_the_page_of_contact_has_the_figures_of_its_tables() -> None:
+    lines = (ROOT / "docs" / "self_contact.md").read_text(encoding="utf-8").splitlines()
+    linked = [line for line in lines if line.startswith("| [") and ".csv)" in line]
+    assert len(linked) == 7
+    for line in linked:
+        table = ROOT / "docs" / re.findall(r"\((results/\S+\.csv)\)", line)[0]
+        clips = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+
+        def of(column: str) -> list[float]:
+            return [float(clip[column]) for clip in clips]  # noqa: B023
+
+        pairs, limbs = of("body pairs, frames"), of("limbs through, frames")
+        skin, strain = of("skin, most [%]"), of("strain, most")
+        expected = [
+            f"{sum(of('frames')):,.0f}",
+            f"{sum(pairs):.0f}, {sum(each > 0 for each in pairs)}",
+            f"{sum(limbs):.0f}, {sum(each > 0 for each in limbs)}",
+            f"{sum(each > 0.05 for each in skin)}, {max(skin):.2f} %",
+            f"{sum(each > 1.5 for each in strain)}, {max(strain):.2f}",
+            f"{max(of('deepest [mm]')):.1f}",
+        ]
+        assert [cell.strip() for cell in line.split("|")[2:-1]] == expected
+        assert max(of("cloth pairs, most")) == 0.0
 
 
 def test_figures_are_stale_once_their_code_has_changed(tmp_path: Path) -> None:
