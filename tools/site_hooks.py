@@ -1,7 +1,7 @@
 """What the documentation site makes of the repository when it is built: pages that would otherwise say things twice.
 
 Pages are made of the list of examples, the newest release in the changelog, CONTRIBUTING and the flags of every verb.
-A link that leaves `docs` leads to the repository; a picture is copied into the site.
+A link that leaves `docs` leads to the repository.
 """
 
 from __future__ import annotations
@@ -43,27 +43,18 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages that are made, and the files outside `docs` that pages link to."""
+    """Add the pages that are made."""
     files.append(File.generated(config, "examples.md", content=_examples()))
     for name, text in (
         ("changelog.md", _newest_release()),
         ("contributing.md", (ROOT / "CONTRIBUTING.md").read_text()),
     ):
         files.append(File.generated(config, name, content=text.replace("](docs/", "](")))
-    for page in list(files.documentation_pages()):
-        if page.abs_src_path is None:
-            continue
-        for link in _LEAVES.finditer(Path(page.abs_src_path).read_text()):
-            target = link["target"]
-            is_inside = (Path(page.abs_src_path).parent / link[0][2:-1]).resolve().is_relative_to(ROOT / "docs")
-            is_picture = target.endswith(".png") and files.get_file_from_path(target) is None
-            if is_picture and not is_inside and (ROOT / target).is_file():
-                files.append(File.generated(config, target, abs_src_path=str(ROOT / target)))
     return files
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Point links at what was carried along, and fill in the flags of every verb and the entries of scene files."""
+    """Point links that leave `docs` at the repository; fill in the flags of every verb and the entries of scene files."""
     depth = page.file.src_uri.count("/")
     if page.file.src_uri == "api/commands.md":
         markdown = markdown.replace(_VERBS, "\n".join(_verbs()))
@@ -71,10 +62,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         markdown = markdown.replace(_ENTRIES, "\n".join(_entries()))
 
     def inside(link: re.Match[str]) -> str:
-        if link[0].count("../") <= depth:
-            return link[0]
-        target = link["target"]
-        return f"]({'../' * depth}{target})" if target.endswith(".png") else f"]({REPOSITORY}/{target})"
+        leaves = link[0].count("../") > depth
+        return f"]({REPOSITORY}/{link['target']})" if leaves else link[0]
 
     return _LEAVES.sub(inside, markdown)
 
