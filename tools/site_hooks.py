@@ -54,7 +54,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Point links that leave `docs` at the repository; fill in the flags of every verb and the entries of scene files."""
+    """Point links that leave `docs` at the repository, and fill in flags of verbs and entries of scene files."""
     depth = page.file.src_uri.count("/")
     if page.file.src_uri == "api/commands.md":
         markdown = markdown.replace(_VERBS, "\n".join(_verbs()))
