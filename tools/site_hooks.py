@@ -30,12 +30,13 @@ _VERBS, _ENTRIES = "<!-- verbs -->", "<!-- entries -->"
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Draw fences of formulas, and list the design pages in the navigation."""
+    """Draw fences of formulas, and list the design pages in the navigation, in the order of their index."""
     config.mdx_configs["pymdownx.superfences"] = {
         "custom_fences": [{"name": "math", "class": "math", "format": formula}]
     }
-    pages = sorted((ROOT / "docs" / "design").glob("*.md"), key=lambda page: (page.stem != "index", page.stem))
-    listed = [{page.read_text().splitlines()[0].lstrip("# "): f"design/{page.name}"} for page in pages]
+    folder = ROOT / "docs" / "design"
+    names = ["index.md", *re.findall(r"^\| \[.+?\]\((\w+\.md)\)", (folder / "index.md").read_text(), re.MULTILINE)]
+    listed = [{(folder / name).read_text().splitlines()[0].lstrip("# "): f"design/{name}"} for name in names]
     for section in config.nav or []:
         if isinstance(section, dict) and "Design" in section:
             section["Design"] = listed
