@@ -19,6 +19,9 @@ def test_what_an_entry_names_is_there(entry: dict) -> None:
     absent = [path for path in (*entry["files"], *entry["code"]) if not (ROOT / path).exists()]
     assert not absent
     assert all(entry[key] for key in ("title", "command", "commit", "date", "machine"))
+    pages = [file for file in entry["files"] if file.endswith(".md")]
+    assert pages
+    assert [page for page in pages if entry["commit"] not in (ROOT / page).read_text(encoding="utf-8")] == []
 
 
 def test_every_table_has_an_entry_and_rows_as_long_as_its_head() -> None:
