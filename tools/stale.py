@@ -1,6 +1,6 @@
 """Tells which figures of the documentation are stale: the code that they depend on has changed since they were made.
 
-    python tools/stale.py            # all figures, with the number of commits since
+    python tools/stale.py                   # all figures
     python tools/stale.py --only contact
 
 `docs/results/sources.toml` names the commit, date, machine and command of each set of figures, and the code that it
@@ -10,8 +10,10 @@ depends on. The exit code is 1 where any is stale.
 from __future__ import annotations
 
 import argparse
+import ast
 import subprocess
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +37,8 @@ def sources(root: Path) -> list[dict[str, Any]]:
     ]
 
 
-def changes(root: Path, commit: str, paths: list[str]) -> list[str]:
-    """Commits after `commit` that changed one of the paths, the latest first, each with its date.
+def changed_files(root: Path, commit: str, paths: list[str]) -> list[str]:
+    """Files of the paths whose code differs between `commit` and HEAD; comments and docstrings do not count.
 
     Args:
         root: the repository.
@@ -46,15 +48,38 @@ def changes(root: Path, commit: str, paths: list[str]) -> list[str]:
     Raises:
         SystemExit: the commit is not in the history, as in a shallow clone.
     """
-    call = ["git", "-C", str(root), "log", "--format=%h of %as", f"{commit}..HEAD", "--", *paths]
-    ended = subprocess.run(call, capture_output=True, text=True)
-    if ended.returncode:
+    head = (_git(root, "rev-parse", "HEAD") or "").strip()
+    differing = _git(root, "diff", "--name-only", "--no-renames", commit, head, "--", *paths)
+    if differing is None:
         raise SystemExit(f"git does not know commit {commit}; fetch the whole history with git fetch --unshallow.")
-    return ended.stdout.splitlines()
+    return [name for name in differing.splitlines() if _code(root, commit, name) != _code(root, head, name)]
+
+
+def _git(root: Path, *words: str) -> str | None:
+    ended = subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True, errors="replace")
+    return None if ended.returncode else ended.stdout
+
+
+def _is_text(node: ast.stmt) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+
+
+@cache
+def _code(root: Path, commit: str, name: str) -> str:
+    """What a file of a commit computes: its text, of Python its syntax tree without strings that stand alone."""
+    text = _git(root, "show", f"{commit}:{name}") or ""
+    if not name.endswith(".py"):
+        return text
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [each for each in body if not _is_text(each)]
+    return ast.dump(tree)
 
 
 def report(root: Path, only: str = "") -> Iterator[tuple[bool, str]]:
-    """Whether each set of figures is stale, and a line that says so.
+    """Whether each set of figures is stale, and lines that say so.
 
     Args:
         root: the repository.
@@ -63,14 +88,14 @@ def report(root: Path, only: str = "") -> Iterator[tuple[bool, str]]:
     for entry in sources(root):
         if only.lower() not in " ".join((entry["title"], *entry["files"])).lower():
             continue
-        since = changes(root, entry["commit"], entry["code"])
-        state = f"stale, {len(since)} commits since, the last {since[0]}" if since else "fresh"
+        changed = changed_files(root, entry["commit"], entry["code"])
+        state = f"stale, {len(changed)} files of code changed since, such as {changed[0]}" if changed else "fresh"
         made = f"commit {entry['commit']}, {entry['date']}, {entry['machine']}"
-        yield bool(since), f"{entry['title']}: {state}\n    {', '.join(entry['files'])}\n    {made}"
+        yield bool(changed), f"{entry['title']}: {state}\n    {', '.join(entry['files'])}\n    {made}"
 
 
 def main() -> None:
-    """Print a line for each set of figures."""
+    """Print whether each set of figures is stale."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", help="text that the title or a file of the figures contains")
     lines = list(report(ROOT, parser.parse_args().only))

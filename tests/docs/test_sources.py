@@ -74,12 +74,14 @@ def test_figures_are_stale_once_their_code_has_changed(tmp_path: Path) -> None:
         return git("rev-parse", "--short", "HEAD")
 
     git("init", "-q")
-    made = commit("src/solver.py", "1")
+    made = commit("src/solver.py", "steps = 1\n")
     entry = f'title = "Times"\nfiles = ["page.md"]\ncommit = "{made}"\ndate = 2026-11-28\nmachine = "two cores"\n'
     commit(str(SOURCES), f'[code]\nsolver = ["src"]\n\n[[figures]]\n{entry}code = ["solver"]\n')
     assert [is_stale for is_stale, _ in report(tmp_path)] == [False]
-    commit("src/solver.py", "2")
+    commit("src/solver.py", '"""The solver."""\n\nsteps = 1  # a step\n"""Number of steps."""\n')
+    assert [is_stale for is_stale, _ in report(tmp_path)] == [False]
+    commit("src/solver.py", "steps = 2\n")
     ((is_stale, line),) = report(tmp_path)
     assert is_stale
-    assert "Times: stale, 1 commits since" in line
+    assert "Times: stale, 1 files of code changed since, such as src/solver.py" in line
     assert list(report(tmp_path, "other")) == []
