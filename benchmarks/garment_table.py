@@ -1,4 +1,4 @@
-"""Prints a Markdown table of every built-in garment at every level: counts, evenness, angles, borders, clearance.
+"""Prints every built-in garment at every level as CSV: counts, evenness, angles, borders, clearance.
 
 Run: python benchmarks/garment_table.py [woman|man] [--levels 2500,11000]
 """
@@ -6,6 +6,8 @@ Run: python benchmarks/garment_table.py [woman|man] [--levels 2500,11000]
 from __future__ import annotations
 
 import argparse
+import csv
+import sys
 import time
 
 import numpy as np
@@ -17,12 +19,12 @@ from pb4u.garment.clearance import rest_distances
 from pb4u.garment.library import LEVELS, build_garment, garment_names
 
 HEADER = (
-    "| garment | requested | triangles | vertices | mean edge [mm] | edge variation | smallest angle [deg] "
-    "| boundary loops | vertices inside | least clearance [mm] | build [s] |"
-)
+    "garment", "requested", "triangles", "vertices", "mean edge [mm]", "edge variation", "smallest angle [deg]",
+    "boundary loops", "vertices inside", "least clearance [mm]", "build [s]",
+)  # fmt: skip
 
 
-def row(name: str, body: ShapedBody, triangles: int) -> str:
+def row(name: str, body: ShapedBody, triangles: int) -> tuple[str, ...]:
     begin = time.process_time()
     garment = build_garment(name, body, triangles)
     seconds = time.process_time() - begin
@@ -31,11 +33,11 @@ def row(name: str, body: ShapedBody, triangles: int) -> str:
     lengths = garment.edge_lengths
     angle = np.degrees(angles(garment.vertices[garment.faces]).min())
     return (
-        f"| {name} | {triangles} | {garment.triangle_count} | {len(garment.vertices)} "
-        f"| {1e3 * lengths.mean():.1f} | {lengths.std() / lengths.mean():.3f} | {angle:.1f} "
-        f"| {len(garment.topology.boundary_loops)} | {int((distance < 0).sum())} "
-        f"| {1e3 * min(distance.min(), centres.min()):.1f} | {seconds:.1f} |"
-    )
+        name, str(triangles), str(garment.triangle_count), str(len(garment.vertices)),
+        f"{1e3 * lengths.mean():.1f}", f"{lengths.std() / lengths.mean():.3f}", f"{angle:.1f}",
+        str(len(garment.topology.boundary_loops)), str(int((distance < 0).sum())),
+        f"{1e3 * min(distance.min(), centres.min()):.1f}", f"{seconds:.1f}",
+    )  # fmt: skip
 
 
 def main() -> None:
@@ -44,11 +46,12 @@ def main() -> None:
     parser.add_argument("--levels", default=",".join(str(count) for count in LEVELS.values()))
     arguments = parser.parse_args()
     body = load_body(arguments.body)
-    print(HEADER)
-    print("|" + "---|" * (HEADER.count("|") - 1))
+    lines = csv.writer(sys.stdout, lineterminator="\n")
+    lines.writerow(HEADER)
     for name in garment_names():
         for count in arguments.levels.split(","):
-            print(row(name, body, int(count)), flush=True)
+            lines.writerow(row(name, body, int(count)))
+            sys.stdout.flush()
 
 
 if __name__ == "__main__":

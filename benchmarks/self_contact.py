@@ -6,7 +6,7 @@
     python benchmarks/self_contact.py --garments tee.json,dress --motions walk,squat --triangles 1200 --out clips
 
 Each clip is a job of the folder `--out`: the same command goes on where it stopped. At the end, or with `--table` at
-once, it prints a Markdown table of the clips that are done, the worst first. Positions are rounded to float32 as they
+once, it prints the clips that are done as CSV, the worst first. Positions are rounded to float32 as they
 are written, and crossings are found by exact predicates. Recordings and garments of others are read from `--data`, and
 the garments mended by `pb4u check --fix`.
 """
@@ -14,6 +14,7 @@ the garments mended by `pb4u check --fix`.
 from __future__ import annotations
 
 import argparse
+import csv
 import subprocess
 import sys
 import tempfile
@@ -130,30 +131,36 @@ def attempt(job: RunJob, keep: bool) -> Made | Failure:
     return Made(outcome.result | found, outcome.trajectory if keep else None)
 
 
-def row(job: RunJob, result: dict[str, Any] | None, failure: Failure | None) -> tuple[tuple[float, ...], str] | None:
-    """How bad a clip is, worst first, and its line of the table; None of one that is not done."""
+Rated = tuple[tuple[float, ...], list[str]]
+"""How bad a clip is, higher is better, and the cells of its row."""
+
+
+def row(job: RunJob, result: dict[str, Any] | None, failure: Failure | None) -> Rated | None:
+    """How bad a clip is, worst first, and its row of the table; None of one that is not done."""
     labels, counts = job.labels, "+".join(str(each.triangles or "own") for each in job.run.garments)
     name = f"{labels['garment']}, {Path(labels['motion']).stem}, {labels['model']}"
     name += f", seed {labels['seed']}" if labels["seed"] else ""
     name += "" if job.run.self_contact is None else ", self-contact off"
     if result is None:
-        return None if failure is None else ((-np.inf,), f"| {name} | {counts} | refused: {failure.sentence} |")
+        return None if failure is None else ((-np.inf,), [name, counts, f"refused: {failure.sentence}"])
     series = {key: np.array(each["per_frame"]) for key, each in result["metrics"].items()}
     pinched = series["body_intersections_pinched"]
     free, limbs = series["body_intersections"] - pinched, series.get("limbs_through_cloth", np.zeros(1))
     cloth, skin = max(result["crossing_sharing"]), series["visible_skin_percent"].max()
     lost = result["diverged"] or result["frames"] < labels["frames_asked"]
-    parts = (
-        f"{name}{' **lost**' if lost else ''}", str(result["triangles"]), str(result["frames"]),
-        f"{free.mean():.2f}, {free.max():.0f}, {(free > 0).sum()}", f"{pinched.max():.0f}", f"{(limbs > 0).sum()}",
-        f"{skin:.2f}", f"{1e3 * series['penetration_depth_max'].max():.1f}", f"{series['strain_max'].max():.2f}",
+    cells = [
+        f"{name}{' lost' if lost else ''}", str(result["triangles"]), str(result["frames"]),
+        f"{free.mean():.2f}", f"{free.max():.0f}", f"{(free > 0).sum()}", f"{pinched.max():.0f}",
+        f"{(limbs > 0).sum()}", f"{skin:.2f}", f"{1e3 * series['penetration_depth_max'].max():.1f}",
+        f"{series['strain_max'].max():.2f}",
         f"{cloth}", f"{1e3 * result['smallest_gap']:.2f}", f"{result['ms_per_step']:.0f}",
-    )  # fmt: skip
-    return (-lost, -cloth, -(limbs > 0).sum(), -free.mean(), -skin), f"| {' | '.join(parts)} |"
+    ]  # fmt: skip
+    return (-lost, -cloth, -(limbs > 0).sum(), -free.mean(), -skin), cells
 
 
 HEAD = (
-    "clip", "triangles", "frames", "body pairs: mean, most, frames", "of them pinched, most", "limbs through, frames",
+    "clip", "triangles", "frames", "body pairs, mean", "body pairs, most", "body pairs, frames",
+    "of them pinched, most", "limbs through, frames",
     "skin, most [%]", "deepest [mm]", "strain, most", "cloth pairs, most", "gap [mm]", "step [ms]",
 )  # fmt: skip
 
@@ -184,8 +191,8 @@ def main() -> None:
         missing = [] if args.table else folder.still_to_do(jobs, "clips", False, print)
         folder.complete(jobs, missing, "clips", lambda: LocalPool(1, partial(attempt, keep=args.keep)), quiet)
         rows = sorted(filter(None, (row(job, folder.result(job), folder.failure(job)) for job in jobs)))
-    print(f"{len(rows)} of {len(jobs)} clips done.\n\n| {' | '.join(HEAD)} |\n{'|---' * len(HEAD)}|")
-    print("\n".join(line for _, line in rows))
+    print(f"{len(rows)} of {len(jobs)} clips done.", file=sys.stderr)
+    csv.writer(sys.stdout, lineterminator="\n").writerows((HEAD, *(cells for _, cells in rows)))
 
 
 if __name__ == "__main__":

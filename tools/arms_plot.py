@@ -1,6 +1,6 @@
-"""Plots networks that differ in propagation control and scaling across triangles, from the tables of `pb4u evaluate`.
+"""Plots networks that differ in propagation control and scaling across triangles, from tables.csv of `pb4u evaluate`.
 
-python tools/arms_plot.py docs/results/literal/to_9600_triangles.md --out docs/results/literal/across_triangles.png
+python tools/arms_plot.py docs/results/literal/to_9600_triangles.csv --out docs/results/literal/across_triangles.png
 
 A column's name without its ending -seedN is the network; a dot is a seed, a line their geometric mean. Models without
 an ending, such as the start and the solver, are dotted.
@@ -9,6 +9,7 @@ an ending, such as the start and the solver, are dotted.
 from __future__ import annotations
 
 import argparse
+import csv
 import re
 from collections import defaultdict
 from pathlib import Path
@@ -25,20 +26,14 @@ MEASURES = {
 SEED = re.compile(r"-seed\d+$")
 
 
-def cells(page: str) -> dict[tuple[int, str, str], float]:
+def cells(file: Path) -> dict[tuple[int, str, str], float]:
     """Means by triangles, measure and column."""
-    found = {}
-    for part in page.split("## Level ")[1:]:
-        level, _, rest = part.partition("\n")
-        rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in rest.split("\n") if line.startswith("|")]
-        for name, *values in rows:
-            if name in MEASURES:
-                found |= {
-                    (int(level), name, column): float(value.split()[0])
-                    for column, value in zip(rows[0][1:], values, strict=True)
-                    if value.split()[0] != "-"
-                }
-    return found
+    with file.open(newline="", encoding="utf-8") as stream:
+        return {
+            (int(line["table"].removeprefix("Level ")), line["row"], line["column"]): float(line["value"].split()[0])
+            for line in csv.DictReader(stream)
+            if line["table"].startswith("Level ") and line["row"] in MEASURES and line["value"] != "-"
+        }
 
 
 def main() -> None:
@@ -52,7 +47,7 @@ def main() -> None:
     points: dict[tuple[str, str], dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
     trained = set()
     for table in options.tables:
-        for (triangles, measure, column), value in cells(table.read_text()).items():
+        for (triangles, measure, column), value in cells(table).items():
             name = SEED.sub("", column)
             points[measure, name][triangles].append(value)
             if name != column:

@@ -1,7 +1,7 @@
 """What the documentation site makes of the repository when it is built: pages that would otherwise say things twice.
 
-Pages are made of the examples, the changelog, CONTRIBUTING and the flags of every verb; the decisions are listed; and
-links that leave `docs` are carried along with the file they point at.
+Pages are made of the list of examples, the newest release in the changelog, CONTRIBUTING and the flags of every verb.
+A link that leaves `docs` leads to the repository.
 """
 
 from __future__ import annotations
@@ -20,44 +20,42 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parents[1]
+REPOSITORY = "https://github.com/pb4u/pb4u/blob/main"
 _LEAVES = re.compile(r"\]\((\.\./)+(?P<target>[A-Za-z][^)#]*)\)")
 """A link to what lies above `docs`."""
+_RELEASE = re.compile(r"^## \[\d.*?(?=^## |\Z)", re.MULTILINE | re.DOTALL)
+"""The section of a released version in the changelog."""
 _VERBS, _ENTRIES = "<!-- verbs -->", "<!-- entries -->"
 """What is replaced in a page: by the flags of every verb, by the entries of a scene file."""
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Draw fences of formulas, and list the decisions in the navigation, the latest first."""
+    """Draw fences of formulas, and list the design pages in the navigation, in the order of their index."""
     config.mdx_configs["pymdownx.superfences"] = {
         "custom_fences": [{"name": "math", "class": "math", "format": formula}]
     }
-    pages = sorted((ROOT / "docs" / "decisions").glob("*.md"), reverse=True)
-    listed = [{page.read_text().splitlines()[0].lstrip("# "): f"decisions/{page.name}"} for page in pages]
+    folder = ROOT / "docs" / "design"
+    names = ["index.md", *re.findall(r"^\| \[.+?\]\((\w+\.md)\)", (folder / "index.md").read_text(), re.MULTILINE)]
+    listed = [{(folder / name).read_text().splitlines()[0].lstrip("# "): f"design/{name}"} for name in names]
     for section in config.nav or []:
-        if isinstance(section, dict) and "Decisions" in section:
-            section["Decisions"] = listed
+        if isinstance(section, dict) and "Design" in section:
+            section["Design"] = listed
     return config
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages that are made, and the files outside `docs` that pages link to."""
+    """Add the pages that are made."""
     files.append(File.generated(config, "examples.md", content=_examples()))
-    for name in ("CHANGELOG.md", "CONTRIBUTING.md"):
-        text = (ROOT / name).read_text().replace("](docs/", "](")
-        files.append(File.generated(config, name.lower(), content=text))
-    for page in list(files.documentation_pages()):
-        if page.abs_src_path is None:
-            continue
-        for link in _LEAVES.finditer(Path(page.abs_src_path).read_text()):
-            target = link["target"]
-            is_inside = (Path(page.abs_src_path).parent / link[0][2:-1]).resolve().is_relative_to(ROOT / "docs")
-            if not is_inside and (ROOT / target).is_file() and files.get_file_from_path(target) is None:
-                files.append(File.generated(config, target, abs_src_path=str(ROOT / target)))
+    for name, text in (
+        ("changelog.md", _newest_release()),
+        ("contributing.md", (ROOT / "CONTRIBUTING.md").read_text()),
+    ):
+        files.append(File.generated(config, name, content=text.replace("](docs/", "](")))
     return files
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Point links at what was carried along, and fill in the flags of every verb and the entries of scene files."""
+    """Point links that leave `docs` at the repository, and fill in flags of verbs and entries of scene files."""
     depth = page.file.src_uri.count("/")
     if page.file.src_uri == "api/commands.md":
         markdown = markdown.replace(_VERBS, "\n".join(_verbs()))
@@ -66,7 +64,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
     def inside(link: re.Match[str]) -> str:
         leaves = link[0].count("../") > depth
-        return f"]({'../' * depth}{link['target']})" if leaves else link[0]
+        return f"]({REPOSITORY}/{link['target']})" if leaves else link[0]
 
     return _LEAVES.sub(inside, markdown)
 
@@ -82,12 +80,18 @@ def formula(source: str, *_: Any, **__: Any) -> str:
 
 
 def _examples() -> str:
-    parts = ["# Examples\n\nEach is a page of its own in `examples/`, and runs as it is. They are run by the tests.\n"]
+    lines = ["# Examples", "", "Short programs in `examples/`. Each runs as it is, and the tests run all of them.", ""]
+    lines += ["| program | what it shows |", "|---|---|"]
     for file in sorted((ROOT / "examples").glob("[0-9]*.py")):
-        source = file.read_text()
-        title = source.split('"""', 2)[1].strip().splitlines()[0].rstrip(".")
-        parts.append(f"## {title}\n\n`examples/{file.name}`\n\n````python\n{source.rstrip()}\n````\n")
-    return "\n".join(parts)
+        title = file.read_text().split('"""', 2)[1].strip().splitlines()[0].rstrip(".")
+        lines.append(f"| [`{file.name}`]({REPOSITORY}/examples/{file.name}) | {_cell(title)} |")
+    return "\n".join(lines)
+
+
+def _newest_release() -> str:
+    """Page of the release that the changelog dates last; the changelog of the repository has the others."""
+    newest = _RELEASE.search((ROOT / "CHANGELOG.md").read_text())
+    return f"# Changelog\n\n[All versions]({REPOSITORY}/CHANGELOG.md).\n\n{newest[0] if newest else ''}"
 
 
 def _verbs() -> Iterator[str]:

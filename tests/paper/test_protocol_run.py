@@ -127,6 +127,8 @@ def test_the_page_holds_tables_and_plots_and_marks_what_is_the_papers(tmp_path: 
         "picture_grid.png",
     ]
     assert "| -1.66e-02 |" in tables
+    values = (tmp_path / "run" / "tables.csv").read_text().splitlines()
+    assert 'Level 11K,total loss [J],"Pb4U-GNet (paper, other data)",-1.66e-02' in values
     mean = cell(results, model="solver", level="18K")["quantities"]["total"]["mean"]
     assert f"{mean:.2e} ±" in tables
     assert "| HOOD (paper, other data) |" in tables

@@ -1,4 +1,4 @@
-"""Remeshing of surfaces with open borders to a wanted number of even triangles (libraries: decision 3)."""
+"""Remeshing of surfaces with open borders to a wanted number of even triangles (docs/design/programs.md)."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 An edge that lies on a limb spans a part of the way round it. Where edges span a fifth of it, the cloth is a tube of
 five flat sides: a limb that bends comes out between them, and the garment is lost. What an edge spans is read off the
 skin, as the angle between its normals beneath the two ends, so that it tells as much of somebody's own garment.
-Decision 36 says where garments are lost.
+docs/design/garments.md says where garments are lost.
 """
 
 from __future__ import annotations

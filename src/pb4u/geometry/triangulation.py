@@ -1,4 +1,4 @@
-"""Polygons cut into triangles; decision 3 says why by ears of our own."""
+"""Polygons cut into triangles; docs/design/programs.md has other ways."""
 
 from __future__ import annotations
 

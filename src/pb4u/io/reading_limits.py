@@ -1,4 +1,4 @@
-"""What a file may unpack to (decision 26), JSON text, and short sentences on what a file holds."""
+"""What a file may unpack to (docs/design/files.md), JSON text, and short sentences on what a file holds."""
 
 from __future__ import annotations
 

@@ -24,10 +24,11 @@ Configuration = TypeVar("Configuration", bound=NetworkConfiguration)
 
 
 def with_start_shares(configuration: Configuration) -> Configuration:
-    """Copy of `configuration` whose steps start where the potential is least along the body's motion (decision 17).
+    """Copy of `configuration` whose steps start where the potential is least along the body's motion.
 
-    Free flight and quarters of the displacement that the body alone would give the garment are tried; the network reads
-    the direction of descent of the potential at the start, and the acceleration from free flight to it.
+    Why: docs/design/time_step.md. Free flight and quarters of the displacement that the body alone would give the
+    garment are tried; the network reads the direction of descent of the potential at the start, and the acceleration
+    from free flight to it.
 
     Args:
         configuration: of a network that starts in free flight.
@@ -53,7 +54,7 @@ _small_without_gradient = replace(
     pb4u_small_conjugate, layout=replace(pb4u_small_carried.layout, extra=(ADVANCE,)), descent_size=0.0
 )
 
-# What the paper names and nothing else; decision 48 says where its release differs. On a training level of 1,200
+# What the paper names and nothing else; docs/design/paper_network.md has its release. On a training level of 1,200
 # triangles edges are 45 mm in the mean, and D = 0.225 m gives 5 steps there.
 literal = replace(
     pb4u_paper,

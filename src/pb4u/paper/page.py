@@ -1,7 +1,8 @@
-"""What a run's report is made of, and its Markdown."""
+"""What a run's report is made of, its Markdown, and its tables as CSV."""
 
 from __future__ import annotations
 
+import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -86,6 +87,23 @@ def as_markdown(title: str, blocks: Sequence[Block]) -> str:
         else:
             parts += [_markdown_table(block), block.caption]
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def as_csv(blocks: Sequence[Block]) -> str:
+    """Values of all tables as CSV, a line each: table, row, column, value; the words of a row are joined by commas.
+
+    Args:
+        blocks: the parts of the page.
+    """
+    stream = io.StringIO()
+    lines = csv.writer(stream, lineterminator="\n")
+    lines.writerow(("table", "row", "column", "value"))
+    for table in (block for block in blocks if isinstance(block, Table)):
+        for cells in table.rows:
+            row = ", ".join(cells[: table.words])
+            values = zip(table.head[table.words :], cells[table.words :], strict=True)
+            lines.writerows((table.title, row, column, value) for column, value in values if value)
+    return stream.getvalue()
 
 
 def _markdown_table(table: Table) -> str:

@@ -1,4 +1,4 @@
-"""The report of a run: results.json, plots, and a page of tables that shows them."""
+"""The report of a run: results.json, plots, a page of tables that shows them, and the tables as CSV."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pb4u import __version__
 from pb4u.io.atomic_file import json_text
 from pb4u.jobs.job_folder import FOLDER_VERSION, JobFolder
 from pb4u.paper.evaluation_request import EvaluationRequest
-from pb4u.paper.page import Block, Plot, Remark, as_markdown
+from pb4u.paper.page import Block, Plot, Remark, as_csv, as_markdown
 from pb4u.paper.paper_figures import PAPER
 from pb4u.paper.paper_layout import loss_and_latency, terms_by_level, total_by_arm
 from pb4u.paper.pictures import picture_grid
@@ -23,7 +23,7 @@ from pb4u.paper.robustness import failure_pictures, failure_table, parts_tables,
 from pb4u.paper.summary import Summary, summarise
 from pb4u.paper.tables import controls_tables, level_table, terms_tables
 
-RESULTS, TABLES, PLOTS = "results.json", "tables.md", "plots"
+RESULTS, TABLES, VALUES, PLOTS = "results.json", "tables.md", "tables.csv", "plots"
 
 View = Callable[[Summary], list[Block]]
 """Draws tables or plots of a run; none where the run has nothing for them."""
@@ -58,7 +58,7 @@ PAPERS_VIEWS: dict[str, tuple[View, ...]] = {
 
 
 def write_report(planned: Plan, folder: JobFolder, request: EvaluationRequest) -> dict[str, Any]:
-    """Write results.json, the plots and the page of tables of what is done.
+    """Write results.json, the plots, the page of tables of what is done, and its tables as CSV.
 
     Args:
         planned: what the run consists of.
@@ -79,6 +79,7 @@ def write_report(planned: Plan, folder: JobFolder, request: EvaluationRequest) -
         if isinstance(block, Plot):
             folder.write(f"{PLOTS}/{block.name}.png", block.png)
     folder.write(TABLES, as_markdown(f"pb4u evaluation: {protocol.name}", blocks).encode())
+    folder.write(VALUES, as_csv(blocks).encode())
     text = json_text(
         {
             "protocol": protocol.name,

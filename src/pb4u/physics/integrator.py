@@ -123,7 +123,7 @@ class SecondOrder:
 
     So is that of a vertex on which contact pushes: its velocity jumps, and the difference of two mean velocities would
     throw it back with half of the speed at which it came. Such a vertex ends with its mean velocity, and begins anew
-    (decision 78).
+    (docs/design/time_integration.md).
     """
 
     name = "bdf2"

@@ -1,6 +1,6 @@
 """Contact response: vertices that a step leaves inside a body or the ground are pushed out without gaining speed.
 
-Decision 40 says what else was tried against cloth that stays inside.
+docs/design/body_contact.md says what else was tried against cloth that stays inside.
 """
 
 from __future__ import annotations

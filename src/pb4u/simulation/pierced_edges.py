@@ -1,7 +1,8 @@
 """Cloth that a part of the body has come through between its vertices, which contact at vertices cannot see.
 
 Cloth caught on a forearm or a shin has all its vertices outside the body, on both sides of it, and edges that go
-through. No force leads back from there: it has to be seen in the step in which it happens (decision 38).
+through. No force leads back from there: it has to be seen in the step in which it happens. Measured in
+docs/design/body_contact.md.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ The iterations after it would lower the energy by a third of that: half a percen
 
 _STILL_FALLING = 1e-3
 """Energy decrease of the last iteration, as the height [m] to which it would lift the garment, from which on such a
-step may be retried (decision 31).
+step may be retried (docs/design/quick_solver.md).
 
 Where a limb has caught a dress or a cardigan it is 1.2 mm to half a metre. Where a tight shirt is strained in every
 step, at a residual of 20 to 130, it is 0.2 to 0.9 mm, and the retried step has 0.1 percent less energy.
