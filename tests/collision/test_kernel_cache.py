@@ -97,3 +97,12 @@ def test_an_edited_intrinsic_recompiles_its_callers(tmp_path, monkeypatch):
     monkeypatch.setattr(f"{__name__}.INNER", made)
     assert _outer(tmp_path, monkeypatch)(1) == 10
     assert _outer(tmp_path, monkeypatch, added=100)(1) == 1000
+
+
+def test_what_stands_beside_an_intrinsic_is_part_of_the_name_of_its_callers(tmp_path, monkeypatch):
+    made = "from numba.extending import intrinsic\nfrom numba.core import types\nBESIDE = {added}\n"
+    made += "@intrinsic\ndef inner(_, x):\n    def make(context, builder, signature, arguments):\n"
+    made += "        return context.get_constant(types.int64, BESIDE)\n    return types.int64(x), make\n"
+    monkeypatch.setattr(f"{__name__}.INNER", made)
+    assert _outer(tmp_path, monkeypatch)(1) == 10
+    assert _outer(tmp_path, monkeypatch, added=100)(1) == 1000

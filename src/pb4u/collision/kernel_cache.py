@@ -157,7 +157,9 @@ def _value(name: str, value: Any, code: list[Any], seen: set[Dispatcher]) -> Ite
         yield name
         yield from _parts(value, seen)
     elif isinstance(value, _Intrinsic):
-        yield f"{name}:{list(_code(value._defn.__code__))}"
+        # What else its module defines, such as operators of the types that it makes, is reached by no name.
+        module = Path(value._defn.__code__.co_filename)
+        yield f"{name}:{hashlib.sha256(module.read_bytes()).hexdigest()}"
     elif isinstance(value, ModuleType) and value.__name__.partition(".")[0] not in ("numpy", "math", "numba"):
         attributes = {attribute for _, _, named, _ in code for attribute in named}
         for attribute in sorted(attributes & vars(value).keys()):
