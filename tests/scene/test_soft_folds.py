@@ -124,6 +124,6 @@ def between(folds: Callable[[AnimatedBody], AnimatedBody | SoftFolds], monkeypat
 
 
 def test_cloth_between_two_parts_is_between_them_when_they_part(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert between(SoftFolds, monkeypatch) < 0.06
+    assert between(SoftFolds, monkeypatch) < 0.1
     # As posed, the balls squeeze it out from between them.
     assert between(lambda body: body, monkeypatch) > 0.2

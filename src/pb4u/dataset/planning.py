@@ -118,7 +118,7 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
         number = 2 if job.keep == "half" else 4
         moving = frames * 3 * number * (2 * vertices + points)
         # Corners of panels that lie flat, their UVs and their layers of cloth come on top.
-        still = (104 if scene.rest_shape == "flat" else 24) * sum(faces) + 17 * vertices + 24 * corners + points + 8000
+        still = (130 if scene.rest_shape == "flat" else 24) * sum(faces) + 17 * vertices + 24 * corners + points + 14000
         sizes.append(round(moving + still + _RECORD_BYTES[0] + _RECORD_BYTES[1] * frames))
     return sizes
 
