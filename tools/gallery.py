@@ -1,6 +1,6 @@
-"""Draws the gallery: every garment at two triangle counts, one late frame by each model: docs/images/gallery.png.
+"""Draws the gallery: every garment, one late frame by each model and triangle count: docs/images/gallery.png.
 
-python tools/gallery.py [--models skinning,pb4u-wide,solver] [--triangles 2500,11000] [--garments dress,skirt]
+python tools/gallery.py [--models skinning,quick-solver] [--triangles 2500,11000] [--garments dress,skirt]
 
 A model is a name or a checkpoint's path. Pictures are kept in --cells as they are drawn, so that a run that was
 stopped goes on where it was; a picture is drawn again when its scene, its size or its model's weights changed.
@@ -44,6 +44,7 @@ LEAD_IN = 12
 COLOURS = (
     (0.62, 0.70, 0.80), (0.80, 0.56, 0.52), (0.60, 0.70, 0.62), (0.74, 0.64, 0.78),
     (0.84, 0.74, 0.56), (0.60, 0.68, 0.72), (0.46, 0.54, 0.68), (0.80, 0.66, 0.68),
+    (0.88, 0.88, 0.86), (0.36, 0.44, 0.58), (0.72, 0.40, 0.44),
 )  # fmt: skip
 INK = (60, 60, 60)
 FAILED_INK = (190, 30, 30)
@@ -111,11 +112,11 @@ def draw(garment: str, triangles: int, model: str, view: View) -> np.ndarray:
 def main() -> None:
     """Draw what is missing and put the gallery together."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--models", default="skinning,pb4u-wide,solver")
-    parser.add_argument("--triangles", default="2500,11000")
+    parser.add_argument("--models", default="quick-solver")
+    parser.add_argument("--triangles", default="11000")
     parser.add_argument("--garments", default=",".join(garment_names()))
-    parser.add_argument("--across", type=int, default=1, help="garments in a row")
-    parser.add_argument("--size", type=int, default=280, help="height of a picture in pixels")
+    parser.add_argument("--across", type=int, default=6, help="garments in a row")
+    parser.add_argument("--size", type=int, default=420, help="height of a picture in pixels")
     parser.add_argument("--cells", type=Path, default=Path("build/gallery"), help="folder of the finished pictures")
     parser.add_argument("--out", type=Path, default=Path("docs/images/gallery.png"))
     options = parser.parse_args()
