@@ -127,7 +127,7 @@ def row(rollout: Rollout, options: argparse.Namespace, references: Path) -> dict
         trajectory = roll_out(made, simulator, scene, record=record)
     except Pb4uError:
         return {**result, "seconds": round(time.process_time() - began, 1)}
-    measured = measure(trajectory, skinned_centres(scene, trajectory))
+    measured = measure(trajectory, skinned_centres(scene, trajectory), contact=False)
     metrics, complete = measured["metrics"], trajectory.frame_count == options.frames
     kept = references / f"{rollout.garment}-{rollout.motion}-{rollout.triangles}.npz"
     if rollout.arm == "solver":

@@ -55,6 +55,7 @@ def measure(
     trajectory: Trajectory,
     skinned: np.ndarray | None = None,
     progress: Progress = no_progress,
+    contact: bool = True,
 ) -> dict[str, Any]:
     """Metrics of a trajectory, as the command line reports them.
 
@@ -63,6 +64,7 @@ def measure(
             has none and is judged standing still: its inertia and friction are 0.
         skinned: as `skinned_centres`, or (frames, 3) of one garment [m]; without it falling off is not judged.
         progress: called with (frames done, frames in all).
+        contact: whether penetration, skin and crossings are measured, which takes most of the time.
 
     Returns:
         `metrics` and `metrics_paper`, the energies by the released convention: name -> {per_frame, mean, max};
@@ -80,7 +82,7 @@ def measure(
     ruler = Ruler(trajectory)
     frames = []
     for t in range(trajectory.frame_count):
-        frames.append(ruler.frame(t))
+        frames.append(ruler.frame(t, contact))
         progress(t + 1, trajectory.frame_count)
     by_garment = [frame.garments for frame in frames]
     diverged_at = first_lost(trajectory, ruler.garments, by_garment, skinned)
@@ -321,11 +323,12 @@ class Ruler:
         self.faces = faces
         self.touched = faces[contact[faces].all(axis=1)]
 
-    def frame(self, t: int) -> FrameMetrics:
+    def frame(self, t: int, contact: bool = True) -> FrameMetrics:
         """Metrics of frame t.
 
         Args:
             t: number of the frame.
+            contact: as `measure` takes it.
         """
         x = _tensor(self.trajectory.positions[t])
         strains, each_strains = _strains(self.garments, x)
@@ -336,6 +339,14 @@ class Ruler:
         step = self.step(t, x)
         ours, paper = (_energies(potential.of(step).energies(x).terms) for potential in self.potentials)
         metrics = _summed(ours) | strains
+        if contact:
+            metrics |= self._contact(t, x)
+        garments = [energies | each for energies, each in zip(ours, each_strains, strict=True)]
+        return FrameMetrics(metrics, _summed(paper), garments)
+
+    def _contact(self, t: int, x: Tensor) -> dict[str, float]:
+        """Penetration, skin and crossings of frame t, where `x` (vertices, 3) [m] is finite."""
+        metrics = {}
         if self.surface is not None:
             distance = self.surface.at(self._body(t)).nearest(x).signed_distance
             metrics["penetration_percent"] = 100.0 * float((distance < -PENETRATION_TOLERANCE).double().mean())
@@ -355,8 +366,7 @@ class Ruler:
             metrics["visible_skin_percent"] = 100.0 * float(areas[shown].sum()) / under if under else 0.0
             metrics["body_intersections"] = float(len(crossing))
             metrics["body_intersections_pinched"] = float(pinched(crossing, x.numpy(), cloth, body, folds).sum())
-        garments = [energies | each for energies, each in zip(ours, each_strains, strict=True)]
-        return FrameMetrics(metrics, _summed(paper), garments)
+        return metrics
 
     def step(self, t: int, x: Tensor) -> TimeStep:
         """The step that led to frame t and `x` (vertices, 3) [m]; frame 0 is judged standing still.
