@@ -19,6 +19,7 @@ from torch import Tensor
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.collision.jit import compiled
 from pb4u.collision.nearest_surface import TriangleSurface
+from pb4u.collision.winding_numbers import winding_numbers
 from pb4u.geometry.topology import connected_labels
 
 _SPACING = 0.03
@@ -127,15 +128,13 @@ class SoftFolds:
 
     def _inside(self, x: np.ndarray, normals: np.ndarray, pairs: np.ndarray) -> np.ndarray:
         """Which of the touched vertices (touched,) bool, of those around the pairs, lie inside another part."""
-        import igl
-
         met = np.zeros(len(self._places))
         met[pairs] = 1.0
         rows = np.flatnonzero(self._spread @ met > 0.0)
         asked = self._touched[rows]
-        winding = igl.fast_winding_number(x, self._surface.faces, x[asked] + _OUTSIDE * normals[asked])
+        around = winding_numbers(self._surface.at(x).searched, x[asked] + _OUTSIDE * normals[asked])
         inside = np.zeros(len(self._touched), dtype=bool)
-        inside[rows] = np.asarray(winding) > 0.5
+        inside[rows] = around > 0
         return inside
 
     @cached_property
