@@ -18,6 +18,7 @@ import pb4u
 import pb4u.threads
 from pb4u.collision import surface_tree
 from pb4u.physics import step_potential
+from pb4u.simulation.timeline import BlockedFrames
 from pb4u.threads import prefetch, without_library_threads
 
 THREADS = 2
@@ -121,6 +122,32 @@ def test_items_come_out_in_order_one_behind_the_next(count: int, monkeypatch: py
         assert result == item
         assert made == list(range(min(item + count, 5)))
         assert (thread is current_thread()) == (count == 1)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_blocks_of_frames_are_computed_once_and_the_next_meanwhile(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    use_threads(count, monkeypatch)
+    computed: list[tuple[int, int]] = []
+    in_hand = Event()
+
+    def compute(start: int, stop: int) -> torch.Tensor:
+        computed.append((start, stop))
+        if start == 32:
+            in_hand.set()
+        if start == 64:
+            raise ValueError(f"no frame {start}")
+        return torch.arange(start, stop)[:, None]
+
+    frames = BlockedFrames(compute, 70)
+    assert frames[0] == 0
+    if count == 1:
+        assert computed == [(0, 32)]
+    else:
+        assert in_hand.wait(60)
+    assert [int(frames[k]) for k in (31, 32, 5, 63)] == [31, 32, 5, 63]
+    with pytest.raises(ValueError, match="no frame 64"):
+        frames[64]
+    assert computed[:3] == [(0, 32), (32, 64), (64, 70)]
 
 
 @pytest.mark.parametrize("count", [1, 2])

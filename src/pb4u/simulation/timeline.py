@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Protocol
 
 import torch
@@ -18,7 +19,7 @@ from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.scene import Scene
 from pb4u.scene.soft_folds import SoftFolds
 from pb4u.scene.state import State
-from pb4u.threads import to_device
+from pb4u.threads import begun, to_device
 
 SETTLING_DT = 1.0 / 3.0
 """Length of a settling step [s]: inertia weighs a hundredth of what it does at 30 fps (reference 1.8)."""
@@ -39,7 +40,7 @@ class Frames(Protocol):
 
 
 class BlockedFrames:
-    """Frames computed a block at a time and kept while they are near.
+    """Frames computed a block at a time and kept while they are near; the next block meanwhile, on another thread.
 
     Args:
         compute: gives frames (stop - start, vertices, 3) [m] from `start` to `stop`.
@@ -49,6 +50,7 @@ class BlockedFrames:
     def __init__(self, compute: Callable[[int, int], Tensor], length: int) -> None:
         self._compute, self._length = compute, length
         self._kept: dict[int, Tensor] = {}
+        self._begun: dict[int, Callable[[], Tensor]] = {}
 
     def __len__(self) -> int:
         return self._length
@@ -56,10 +58,16 @@ class BlockedFrames:
     def __getitem__(self, frame: int) -> Tensor:
         block = frame // _BLOCK
         if block not in self._kept:
-            start = block * _BLOCK
             self._kept = {b: rows for b, rows in self._kept.items() if abs(b - block) <= 1}
-            self._kept[block] = self._compute(start, min(start + _BLOCK, self._length))
+            self._kept[block] = self._begun.get(block, partial(self._frames, block))()
+            following = block + 1
+            is_asked_for = following * _BLOCK < self._length and following not in self._kept
+            self._begun = {following: begun(partial(self._frames, following))} if is_asked_for else {}
         return self._kept[block][frame - block * _BLOCK]
+
+    def _frames(self, block: int) -> Tensor:
+        start = block * _BLOCK
+        return self._compute(start, min(start + _BLOCK, self._length))
 
 
 def _padded(positions: Callable[[int, int], Tensor], length: int, start: int, stop: int) -> Tensor:
