@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
 from pb4u.network.acceleration_model import GraphNetwork
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.contact_tracking import moved_off_the_body
+from pb4u.physics.step_potential import StepPotential
 from pb4u.physics.terms.energy_term import constant
 from pb4u.physics.time_step import TimeStep, integrate
 
@@ -46,8 +49,7 @@ class BodyMotionWarmStart:
         shares = constant((0.0, *self.shares), missing.dtype, missing.device)
         # The body's tangent planes half way are exact enough to choose by, and queried once.
         frozen = potential.with_contact_at(free + 0.5 * missing)
-        energies = frozen.energies_of_worlds(free + shares[:, None, None] * missing)
-        best = shares[energies.argmin(dim=0)]
+        best = _best(frozen, free, missing, shares)
         start = free + best[garments.vertex_world, None] * missing
         return moved_off_the_body(potential, start) - free
 
@@ -58,6 +60,26 @@ class BodyMotionWarmStart:
             step: the time step.
         """
         return integrate(step, self.accelerations(step)).positions
+
+
+def _best(potential: StepPotential, free: Tensor, missing: Tensor, shares: Tensor) -> Tensor:
+    """The share (worlds,) of least energy, of some `shares` that rise, of the `missing` motion (vertices, 3) [m].
+
+    A processor looks at them from the largest on, until the energy of every world has risen: it falls towards one share
+    from both sides.
+    """
+    if potential.step.batches:
+        return shares[potential.energies_of_worlds(free + shares[:, None, None] * missing).argmin(dim=0)]
+    worlds = potential.step.garments.world_count
+    best, lowest = shares.new_zeros(worlds), shares.new_full((worlds,), math.inf)
+    is_falling = torch.ones(worlds, dtype=torch.bool)
+    for share in shares.flip(0):
+        energies = potential.energies(free + share * missing).per_world(potential.step.garments)
+        is_falling = is_falling & (energies < lowest)
+        if not bool(is_falling.any()):
+            break
+        best, lowest = torch.where(is_falling, share, best), torch.where(is_falling, energies, lowest)
+    return best
 
 
 def start_of(network: GraphNetwork, potential: IncrementalPotential) -> BodyMotionWarmStart | None:

@@ -28,6 +28,9 @@ _CAUGHT_WITHIN = 0.01
 _LIFT = 2e-3
 """Height [m] over the body to which an overrun vertex is moved, unless it was lower before."""
 
+_ROUNDING = 1e-9
+"""Height [m] by which a vertex that was moved there may be lower: positions are kept as accelerations meanwhile."""
+
 
 def moved_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
     """Positions in which vertices that the body passed over are moved off it, in every world whose energy falls.
@@ -48,7 +51,7 @@ def moved_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
         height = height - potential.contacts.raised.to(x)
     wanted = planes.distance.clamp(0.0, _LIFT).to(x)
     moves = ~garments.pinned & (garments.vertex_masses > 0)
-    overrun = planes.touchable & moves & (planes.distance.abs() < REACH) & (height < wanted)
+    overrun = planes.touchable & moves & (planes.distance.abs() < REACH) & (height < wanted - _ROUNDING)
     if bodies.colliders.rooms is None and not bool(overrun.any()):
         return x
     lifted = torch.where(overrun[:, None], x + (wanted - height)[:, None] * normal, x)
