@@ -54,8 +54,8 @@ class GltfFile:
         Args:
             name: of a list, such as "nodes".
         """
-        found = self.document.get(name, [])
-        return found if isinstance(found, list) else []
+        entries = self.document.get(name, [])
+        return entries if isinstance(entries, list) else []
 
     def array(self, index: int) -> np.ndarray:
         """The array of an accessor, sparse values put in, normalised whole numbers as shares.
@@ -81,11 +81,11 @@ class GltfFile:
             values = np.zeros((count, width), dtype=kind)
         if sparse := accessor.get("sparse"):
             places, changed = sparse["indices"], sparse["values"]
-            whole = np.dtype(_TYPES[places["componentType"]])
-            rows = self._view(places["bufferView"], places.get("byteOffset", 0), whole, sparse["count"], 1)[:, 0]
-            given = self._view(changed["bufferView"], changed.get("byteOffset", 0), kind, sparse["count"], width)
+            integer = np.dtype(_TYPES[places["componentType"]])
+            rows = self._view(places["bufferView"], places.get("byteOffset", 0), integer, sparse["count"], 1)[:, 0]
+            replaced = self._view(changed["bufferView"], changed.get("byteOffset", 0), kind, sparse["count"], width)
             values = values.copy()
-            values[rows] = given
+            values[rows] = replaced
         if kind.kind == "f" or accessor.get("normalized"):
             scale = 1.0 if kind.kind == "f" else float(np.iinfo(kind).max)
             values = np.maximum(values.astype(np.float64) / scale, -np.inf if kind.kind == "f" else -1.0)
@@ -146,10 +146,10 @@ def read_gltf(path: Path) -> GltfFile:
                 )
         buffers = []
         for buffer in document.get("buffers", ()):
-            held = _beside(path, buffer.get("uri"), binary)
-            if len(held) < buffer["byteLength"]:
-                raise InputError(f"{path} is cut short: a buffer has {len(held):,} of {buffer['byteLength']:,} bytes.")
-            buffers.append(held)
+            data = _beside(path, buffer.get("uri"), binary)
+            if len(data) < buffer["byteLength"]:
+                raise InputError(f"{path} is cut short: a buffer has {len(data):,} of {buffer['byteLength']:,} bytes.")
+            buffers.append(data)
         return GltfFile(path, document, tuple(buffers))
 
 
