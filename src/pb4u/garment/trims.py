@@ -89,4 +89,4 @@ class SewnPart:
         Args:
             other: of the same name.
         """
-        return replace(self, **{name: given for name, given in vars(other).items() if given is not None})
+        return replace(self, **{name: value for name, value in vars(other).items() if value is not None})
