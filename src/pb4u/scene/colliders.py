@@ -80,16 +80,16 @@ class PackedColliders:
 
         def of() -> Groups:
             places = positions.detach().cpu().numpy()
-            rows = [own.cpu().numpy() for own in self.touchable]
-            return Groups.of([own[WideTree.over(places[own]).order] for own in rows], positions.device)
+            rows = [vertices.cpu().numpy() for vertices in self.touchable]
+            return Groups.of([vertices[WideTree.over(places[vertices]).order] for vertices in rows], positions.device)
 
         return self._formed("vertex_groups", of)
 
     def _formed(self, name: str, form: Callable[[], Formed]) -> Formed:
-        kept: dict[str, Formed] = self._kept
-        if name not in kept:
-            kept[name] = form()
-        return kept[name]
+        cache: dict[str, Formed] = self._kept
+        if name not in cache:
+            cache[name] = form()
+        return cache[name]
 
     @cached_property
     def _kept(self) -> dict[str, Any]:
@@ -122,11 +122,11 @@ class PackedColliders:
     @cached_property
     def world_contact_faces(self) -> tuple[Tensor, ...]:
         """Indices (faces,) int64 into `contact_faces` of what the surface of each world calls its faces."""
-        made, stop = [], len(self.faces)
-        for world, own in enumerate(self.world_faces):
+        world_faces, stop = [], len(self.faces)
+        for world, faces in enumerate(self.world_faces):
             start, stop = stop, stop + len(self._caps(world))
-            made.append(torch.cat([own, torch.arange(start, stop, device=own.device)]))
-        return tuple(made)
+            world_faces.append(torch.cat([faces, torch.arange(start, stop, device=faces.device)]))
+        return tuple(world_faces)
 
     @cached_property
     def searched_faces(self) -> tuple[np.ndarray, ...]:
@@ -174,19 +174,19 @@ class PackedColliders:
             device: of the copy.
             rooms: of the copy.
         """
-        moved = replace(
+        pack = replace(
             self,
             faces=self.faces.to(device),
             contact=self.contact.to(device),
             vertex_world=self.vertex_world.to(device),
             rooms=rooms,
         )
-        vars(moved)["world_vertices"] = self.world_vertices
-        vars(moved)["searched_faces"] = self.searched_faces
+        vars(pack)["world_vertices"] = self.world_vertices
+        vars(pack)["searched_faces"] = self.searched_faces
         for name in ("world_faces", "contact_faces", "touchable"):
-            vars(moved)[name] = _moved(getattr(self, name), device)
-        vars(moved)["_kept"] = {name: _moved(value, device) for name, value in self._kept.items()}
-        return moved
+            vars(pack)[name] = _moved(getattr(self, name), device)
+        vars(pack)["_kept"] = {name: _moved(value, device) for name, value in self._kept.items()}
+        return pack
 
 
 class ColliderPose:
@@ -248,8 +248,8 @@ class ColliderPose:
     def _posed(self, surfaces: tuple[TriangleSurface | None, ...]) -> tuple[PosedSurface | None, ...]:
         rows = self.colliders.world_vertices
         return tuple(
-            None if surface is None else surface.at(self.positions[own])
-            for surface, own in zip(surfaces, rows, strict=True)
+            None if surface is None else surface.at(self.positions[vertices])
+            for surface, vertices in zip(surfaces, rows, strict=True)
         )
 
 
@@ -333,13 +333,13 @@ def _surfaces(
 ) -> tuple[TriangleSurface | None, ...]:
     """Each world's searchable surface, cut to `contact` (vertices,) where given."""
     all_faces, owner = faces.cpu().numpy(), vertex_world.cpu().numpy()
-    made: list[TriangleSurface | None] = []
+    surfaces: list[TriangleSurface | None] = []
     for world in range(worlds):
         vertices = np.flatnonzero(owner == world)
         region = np.ones(len(vertices), dtype=bool) if contact is None else contact.cpu().numpy()[vertices]
         if not region.any():
-            made.append(None)
+            surfaces.append(None)
             continue
-        own = all_faces[owner[all_faces[:, 0]] == world] - vertices[0]
-        made.append(TriangleSurface(own, len(vertices), region, capped=True))
-    return tuple(made)
+        local_faces = all_faces[owner[all_faces[:, 0]] == world] - vertices[0]
+        surfaces.append(TriangleSurface(local_faces, len(vertices), region, capped=True))
+    return tuple(surfaces)

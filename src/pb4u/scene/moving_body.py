@@ -203,8 +203,8 @@ def _play(body: VertexSequence, run: Run) -> Performance:
         body = body.smoothed(CUTOFF)
     # A body that never moves has no end: it stands for as long as wanted.
     standing = (run.frames or DEFAULT_FRAMES) - 1 if body.frame_count == 1 else 0
-    held = body.resampled(run.fps).with_held_start(run.led_frames + standing)
-    return Performance(held, _frames(run, body.name, held.frame_count - run.led_frames), body.name)
+    played = body.resampled(run.fps).with_held_start(run.led_frames + standing)
+    return Performance(played, _frames(run, body.name, played.frame_count - run.led_frames), body.name)
 
 
 def _refuse_changes(

@@ -139,8 +139,8 @@ class Touches:
         def dressed(live: LiveRun, clip: GrowingClip) -> GrowingClip:
             live.dress(number, material)
             other = clip.until(clip.frame_count, live.header)
-            worn = live.scene.garments[number].garment.name
-            other.note(f"From frame {clip.frame_count} on {worn} was of {name}.")
+            garment = live.scene.garments[number].garment.name
+            other.note(f"From frame {clip.frame_count} on {garment} was of {name}.")
             return other
 
         self._requests.append(dressed)
