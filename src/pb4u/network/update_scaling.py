@@ -223,8 +223,8 @@ class SwitchedScaling:
         Raises:
             InputError: the edges of a garment are longer than what the rule tells apart.
         """
-        own = torch.tensor([self._trained_length(garments, k) for k in range(garments.garment_count)])
-        lengths = own.to(graph.incident_length)[graph.node_owner][:, None]
+        trained = torch.tensor([self._trained_length(garments, k) for k in range(garments.garment_count)])
+        lengths = trained.to(graph.incident_length)[graph.node_owner][:, None]
         learnt, present = self.trained.on_bulk(lengths), self.used.lengths(graph)
         factors = learnt if present is None else learnt * (present / lengths).clamp_max(1.0)
         low_pass = self.used.low_pass(garments)
@@ -246,7 +246,7 @@ def with_scaling(scaling: Scaling, name: str) -> Scaling:
         scaling: the other rule.
         name: per-vertex, mean, none or band-split.
     """
-    made = SCALINGS[name]()
-    if isinstance(made, PerVertexScaling) and isinstance(scaling, PerVertexScaling):
-        return scaling if type(scaling) is type(made) else replace(made, reference_length=scaling.reference_length)
-    return made
+    other = SCALINGS[name]()
+    if isinstance(other, PerVertexScaling) and isinstance(scaling, PerVertexScaling):
+        return scaling if type(scaling) is type(other) else replace(other, reference_length=scaling.reference_length)
+    return other

@@ -36,14 +36,14 @@ class _Pending:
     done: torch.cuda.Event | None
 
     @staticmethod
-    def of(begun: Taken, state: State, names: tuple[str, ...], wanted: Tensor) -> _Pending:
-        parts = (state.positions, state.velocities, wanted)
+    def of(begun: Taken, state: State, names: tuple[str, ...], sizes: Tensor) -> _Pending:
+        parts = (state.positions, state.velocities, sizes)
         copies = tuple(part.to("cpu", non_blocking=True) for part in parts)
         on_card = state.positions.device.type == "cuda"
-        done = torch.cuda.Event() if on_card else None  # type: ignore[no-untyped-call]
-        if done is not None:
-            done.record()
-        return _Pending(begun, copies, names, done)
+        event = torch.cuda.Event() if on_card else None  # type: ignore[no-untyped-call]
+        if event is not None:
+            event.record()
+        return _Pending(begun, copies, names, event)
 
     def had_room(self, rooms: Rooms) -> bool:
         """Whether the step had room for all that it found; makes more where it had not."""
@@ -72,23 +72,23 @@ def bytes_a_vertex(network: GraphNetwork, body_faces: int, recorded: int | None 
     return 4 * width * arrays + 4 * 8 * -(-body_faces // GROUP)
 
 
-def require_memory(what: str, vertices: int, each: int, device: torch.device) -> None:
+def require_memory(what: str, vertices: int, size: int, device: torch.device) -> None:
     """Refuse what a card has no room for, before its first step.
 
     Args:
         what: takes the memory, as the subject of a sentence.
         vertices: number of the garments' vertices.
-        each: bytes a vertex.
+        size: bytes a vertex.
         device: the card.
 
     Raises:
         InputError: it is too large; a number of triangles that would fit is named.
     """
     free, _ = torch.cuda.mem_get_info(device)
-    if each * vertices > free:
+    if size * vertices > free:
         raise InputError(
-            f"The card has {free / 1e9:.1f} GB left, and {what} takes about {each * vertices / 1e9:.1f} GB; garments "
-            f"of {2 * free // each:,} triangles in all would fit."
+            f"The card has {free / 1e9:.1f} GB left, and {what} takes about {size * vertices / 1e9:.1f} GB; garments "
+            f"of {2 * free // size:,} triangles in all would fit."
         )
 
 
@@ -114,8 +114,8 @@ def states_after(
         pending = None
         if taken.state.frame < frames - 1:
             begun = taken
-            taken, names, wanted = steps.take(begun)
-            pending = _Pending.of(begun, taken.state, names, wanted)
+            taken, names, sizes = steps.take(begun)
+            pending = _Pending.of(begun, taken.state, names, sizes)
         if waiting is not None and not waiting.had_room(rooms):
             taken, waiting = waiting.begun, None
             continue

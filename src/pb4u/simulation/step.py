@@ -122,13 +122,13 @@ def take(step: TimeStep, method: StepMethod, last_move: Tensor | None = None) ->
                 # What cloth around it kept inside the body is pushed out together with that cloth.
                 state = refinement.respond_with_cloth(step, state, contact)
         # Between vertices too no face or edge of a body comes through.
-        kept = (
+        outside = (
             past_bodies(cloth, step, state, apart=True)
             if refinement is None
             else refinement.pressed_past_bodies(step, state, cloth)
         )
         # Where one is through cloth already, no energy leads it back.
-        after = kept if contact is None else contact.cleared(step, kept, cloth)
+        after = outside if contact is None else contact.cleared(step, outside, cloth)
         return Taken(replace(after, load=load), prediction.last_move)
 
 
@@ -171,14 +171,14 @@ def predictions(
     if network is None:
         return
     most = network.passes + network.further
-    made = most if rooms is None else rooms.repeats("passes", most)
+    count = most if rooms is None else rooms.repeats("passes", most)
     worth: list[Tensor] = []
-    for number in range(min(made + 1, most)):
+    for number in range(min(count + 1, most)):
         if number >= network.passes:
             worth.append(_is_worth_another(step, decrease, worth))
             if rooms is None and not bool(worth[-1].any()):
                 return
-        if number == made:
+        if number == count:
             break
         reached = accelerations.detach()
         if rooms is None and not bool(torch.isfinite(reached).all()):
@@ -192,8 +192,8 @@ def predictions(
                 goes_on = worth[-1][step.garments.vertex_world, None]
                 move, last_move = torch.where(goes_on, move, 0.0), torch.where(goes_on, last_move, before)
         accelerations = reached + move
-        told = worth[-1] if worth and rooms is not None else None
-        yield Prediction(integrate(step, accelerations), last_move, decrease, told)
+        is_worth = worth[-1] if worth and rooms is not None else None
+        yield Prediction(integrate(step, accelerations), last_move, decrease, is_worth)
     if rooms is not None and network.further:
         rooms.note("passes", network.passes + torch.stack(worth).any(1).sum())
 

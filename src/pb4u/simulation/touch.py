@@ -64,10 +64,10 @@ class Hand:
         Args:
             positions: (vertices, 3) [m] at the start of the step.
         """
-        held = positions[self.vertices]
-        way = held.new_tensor(self.place) - held[0]
+        places = positions[self.vertices]
+        way = places.new_tensor(self.place) - places[0]
         way = way * (REACH / way.norm().clamp_min(REACH))
-        return Pull(self.vertices, held + way, FIRMNESS / len(held))
+        return Pull(self.vertices, places + way, FIRMNESS / len(places))
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,8 +68,8 @@ def note_outcomes(outcomes: Sequence[Outcome], rooms: Rooms | None, counters: Co
     seen = torch.stack([outcome.values for outcome in outcomes])
     if rooms is not None:
         # All that the processor reads comes in one copy.
-        searches, wanted = rooms.taken()
-        read = torch.cat([seen.flatten().double(), wanted.double()]).cpu()
+        searches, sizes = rooms.taken()
+        read = torch.cat([seen.flatten().double(), sizes.double()]).cpu()
         seen = read[: seen.numel()].reshape(seen.shape)
         rooms.grow(searches, read[seen.numel() :].to(torch.int64))
     counters.step -= len(outcomes)
@@ -78,8 +78,8 @@ def note_outcomes(outcomes: Sequence[Outcome], rooms: Rooms | None, counters: Co
             continue
         if not outcome.finite(row):
             return False
-        named, weight = dict(zip(outcome.names, row, strict=False)), outcome.settings["collision_weight"]
+        energies, weight = dict(zip(outcome.names, row, strict=False)), outcome.settings["collision_weight"]
         counters.step += 1
-        counters.guard = counters.guard.after(strain_energy(named, weight))
-        journal.add({**named, **outcome.settings}, comparable_total(named, weight))
+        counters.guard = counters.guard.after(strain_energy(energies, weight))
+        journal.add({**energies, **outcome.settings}, comparable_total(energies, weight))
     return True

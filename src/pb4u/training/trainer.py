@@ -135,11 +135,11 @@ class Trainer:
             if rounds == 1:  # the first one compiles
                 first, since = self.counters.step, time.monotonic()
             elif rounds == 2 and self.budget.steps is not None and self.counters.step > first:
-                each = (time.monotonic() - since) / (self.counters.step - first)
-                left = self.budget.steps - self.counters.step
-                if left * each > _WORTH_SAYING:
-                    whole = format_duration(left * each)
-                    self.journal.say(f"A step takes {each:.2g} s; the {left:,} that are left take about {whole}.")
+                pace = (time.monotonic() - since) / (self.counters.step - first)
+                rest = self.budget.steps - self.counters.step
+                if rest * pace > _WORTH_SAYING:
+                    time_left = format_duration(rest * pace)
+                    self.journal.say(f"A step takes {pace:.2g} s; the {rest:,} that are left take about {time_left}.")
             if end is RoundEnd.CAME_APART:
                 self.counters = self.recovery.roll_back(self.counters)
                 continue
@@ -160,9 +160,9 @@ class Trainer:
         garments, network = [outfit.garment for outfit in self.data.outfits], self.model.network
         depths = [network.propagation_steps(garment.mean_edge_length) for garment in garments]
         faces = max(len(body.faces) for body in self.data.bodies)
-        each = bytes_a_vertex(network, faces, max(self.configuration.most_propagation_steps, *depths))
+        bytes_each = bytes_a_vertex(network, faces, max(self.configuration.most_propagation_steps, *depths))
         most = len(self._indices(0)) * max(len(garment.vertices) for garment in garments)
-        require_memory("a step of training", most, each, self.workers.device)
+        require_memory("a step of training", most, bytes_each, self.workers.device)
 
     def _ending(self) -> str | None:
         """Why to end now, the same in every process; None to go on."""
@@ -242,9 +242,9 @@ class Trainer:
         length = self.configuration.curriculum.window_length(self.progress)
         together, network = self.configuration.interleaved, self.configuration.network
         if self.budget.steps is not None:
-            left = math.ceil((self.budget.steps - self.counters.step) / (network.passes + network.further_passes))
-            together = min(together, left)
-            length = min(length, math.ceil(left / together))
+            remaining = math.ceil((self.budget.steps - self.counters.step) / (network.passes + network.further_passes))
+            together = min(together, remaining)
+            length = min(length, math.ceil(remaining / together))
         first = self.counters.window
         rollouts = [self.begin(number, length) for number in range(first, first + together)]
         while rollouts:
@@ -274,10 +274,10 @@ class Trainer:
         passes, further = self.configuration.network.passes, self.configuration.network.further_passes
         network = NetworkPass(self.network, prepared, rollout.features, passes, nullcontext, further)
         method = StepMethod(self.start, network, search=self.search)
-        made = predictions(step, method, rollout.last_move, self.rooms)
+        passes_made = predictions(step, method, rollout.last_move, self.rooms)
         # The network has no part in the first, which the start alone leads to.
-        latest = next(made)
-        for latest in made:
+        latest = next(passes_made)
+        for latest in passes_made:
             if not self.learn(prepared, step, latest, rollout.watch):
                 return False
         after, rollout.last_move = latest.state, latest.last_move
@@ -335,10 +335,10 @@ class Trainer:
         positions = torch.where(finite, prediction.state.positions, step.state.positions)
         energies = step_energies(step, positions, weight, self.configuration.inside_weight)
         further = further_losses(prepared, step, positions, self.progress)
-        each = torch.stack([energies.per_garment, *further.values()]).sum(0)
+        energy = torch.stack([energies.per_garment, *further.values()]).sum(0)
         if self.configuration.loss_weight == PROGRESS:
-            each = progress_weights(step.garments, prediction.decrease).to(each) * each
-        gradient = self.learner.gradient(each.mean())
+            energy = progress_weights(step.garments, prediction.decrease).to(energy) * energy
+        gradient = self.learner.gradient(energy.mean())
         terms = mean_energies(energies) | {name: value.mean() for name, value in further.items()}
         self.latest_collision = terms["collision"].detach().double() / weight
         none = finite.new_zeros(())

@@ -92,9 +92,9 @@ class Validation:
         self.most_frames = configuration.validation_frames
         for outfit in _spread(data, configuration.validation_clips):
             body = data.outfits[outfit].body
-            own = [i for i, clip in enumerate(data.clips) if clip.body == body]
-            held_out = [i for i in own if data.clips[i].split == "validation"]
-            clips = held_out or own
+            clips_of_body = [i for i, clip in enumerate(data.clips) if clip.body == body]
+            held_out = [i for i in clips_of_body if data.clips[i].split == "validation"]
+            clips = held_out or clips_of_body
             longest = min(max(len(data.clips[i].poses) for i in clips), self.most_frames)
             clips = [i for i in clips if len(data.clips[i].poses) >= longest]
             self.samples.append(Sample(outfit, int(rng.choice(clips)), 0, MATERIALS["default"]))
@@ -149,8 +149,8 @@ class Validation:
         """Geometric mean of what `model` leaves of a step from each shared state [m]."""
         device, logarithms = next(model.parameters()).device, []
         for reference in self.references:
-            worn = reference.timeline.garments
-            garments = pack(worn.garments, torch.float32, device, worn.worlds)
+            packed = reference.timeline.garments
+            garments = pack(packed.garments, torch.float32, device, packed.worlds)
             for height in reference.excess(_method(model, garments), settled=False):
                 logarithms.append(math.log(max(height, _LEAST_EXCESS)) if math.isfinite(height) else math.inf)
         return math.exp(sum(logarithms) / len(logarithms)) if logarithms else math.inf
@@ -161,8 +161,8 @@ class Validation:
         while True:
             rows = torch.stack(list(self._frames(model, window))).tolist()
             if rooms is None or not rooms.grow(*rooms.taken()):
-                kept = list(takewhile(lambda row: row[0], rows))
-                return len(kept), sum(row[1] for row in kept), sum(row[2] for row in kept)
+                sound = list(takewhile(lambda row: row[0], rows))
+                return len(sound), sum(row[1] for row in sound), sum(row[2] for row in sound)
 
     def _frames(self, model: AccelerationModel, window: Window) -> Iterator[Tensor]:
         """For each frame (3,) float64: 1 if its garment is not lost, its energy without gravity [J], and its strain.

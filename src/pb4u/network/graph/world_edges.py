@@ -49,9 +49,9 @@ class WorldEdgeRule:
             colliders: static quantities of the bodies.
             world: number of the world.
         """
-        own = colliders.world_vertices[world]
-        whole = torch.arange(own.start, own.stop, device=points.device)
-        searched = whole if self.whole_body else colliders.touchable[world]
+        block = colliders.world_vertices[world]
+        all_rows = torch.arange(block.start, block.stop, device=points.device)
+        searched = all_rows if self.whole_body else colliders.touchable[world]
         index, within = nearest_within(points, body[searched], self)
         rows = torch.arange(len(points), device=index.device).repeat_interleave(index.shape[1])
         return rows[within.reshape(-1)], searched[index[within]]
@@ -83,8 +83,8 @@ class WorldEdgeRule:
         order = order[torch.argsort(row[order], stable=True)]
         row, near = row[order], near[order]
         rank = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
-        kept, filled = found_rows((rank < self.neighbours) & (row < len(flat)), "world edges", rooms)
-        return row[kept].clamp_max(len(flat) - 1), near[kept], filled
+        places, filled = found_rows((rank < self.neighbours) & (row < len(flat)), "world edges", rooms)
+        return row[places].clamp_max(len(flat) - 1), near[places], filled
 
 
 @dataclass(frozen=True)
@@ -153,15 +153,15 @@ def _nearest_by_grid(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tu
 
 def _nearest_by_chunks(points: Tensor, targets: Tensor, rule: WorldEdgeRule, rows: int = 4096) -> tuple[Tensor, Tensor]:
     # Rows at once: against 20,000 targets their distances take 330 MB in float32.
-    wanted = min(rule.neighbours, targets.shape[0])
+    neighbours = min(rule.neighbours, targets.shape[0])
     indices, distances = [], []
     for start in range(0, points.shape[0], rows):
         block = points[start : start + rows]
         distance = torch.cdist(block, targets, compute_mode="donot_use_mm_for_euclid_dist")
-        best, index = distance.topk(wanted, dim=1, largest=False)
+        best, index = distance.topk(neighbours, dim=1, largest=False)
         indices.append(index)
         distances.append(best)
-    missing = (0, rule.neighbours - wanted)
+    missing = (0, rule.neighbours - neighbours)
     index = torch.nn.functional.pad(torch.cat(indices), missing)
     within = torch.nn.functional.pad(torch.cat(distances) <= rule.radius, missing)
     return torch.where(within, index, 0), within
