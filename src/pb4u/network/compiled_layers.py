@@ -235,12 +235,8 @@ class _Propagation(torch.autograd.Function):
             now = after
         if keep:
             ctx.save_for_backward(*tensors[1:])
-        ctx.taken, ctx.inflows, ctx.decay, ctx.degrees = (
-            buffers[:-1],
-            inflows,
-            decay,
-            torch.from_numpy(degrees)[:, None],
-        )
+        ctx.taken, ctx.inflows, ctx.decay = buffers[:-1], inflows, decay
+        ctx.degrees = torch.from_numpy(degrees)[:, None]
         return torch.from_numpy(now.state)
 
     @staticmethod
