@@ -96,7 +96,7 @@ class TimeStep:
     @property
     def batches(self) -> bool:
         """Whether several positions take as many launches as one: on an accelerator."""
-        return self.bodies is not None and self.bodies.colliders.rooms is not None
+        return self.bodies is not None and self.bodies.colliders.capacities is not None
 
     @cached_property
     def is_on_a_processor(self) -> bool:

@@ -18,10 +18,10 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.batched_surface import BatchedSurface, Groups, PosedBatch
+from pb4u.collision.capacities import Capacities
 from pb4u.collision.jit import as_float64
 from pb4u.collision.nearest_points import Found
 from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
-from pb4u.collision.rooms import Rooms
 from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.collision.wide_tree import WideTree
 from pb4u.geometry.topology import offsets
@@ -43,14 +43,14 @@ class PackedColliders:
         surfaces: the searchable surface of each world's bodies, regions left out of contact cut away and the holes
             closed: cloth that a hand went through would come into the forearm by its open end. None for a world without
             a body that may be touched.
-        rooms: fixed numbers of what searches find, for devices on which shapes may not wait for data; None for none.
+        capacities: fixed numbers of what searches find, where shapes may not wait for data; None elsewhere.
     """
 
     faces: Tensor
     contact: Tensor
     vertex_world: Tensor
     surfaces: tuple[TriangleSurface | None, ...]
-    rooms: Rooms | None = None
+    capacities: Capacities | None = None
 
     def surface_groups(self, worlds: int, positions: Tensor) -> BatchedSurface | None:
         """The surfaces of all worlds for searches in tensors; None where there is none.
@@ -167,19 +167,19 @@ class PackedColliders:
         """
         return ColliderPose(self, positions)
 
-    def to(self, device: torch.device, rooms: Rooms | None = None) -> PackedColliders:
+    def to(self, device: torch.device, capacities: Capacities | None = None) -> PackedColliders:
         """Copy with its arrays on `device`, and what is known of them.
 
         Args:
             device: of the copy.
-            rooms: of the copy.
+            capacities: of the copy.
         """
         pack = replace(
             self,
             faces=self.faces.to(device),
             contact=self.contact.to(device),
             vertex_world=self.vertex_world.to(device),
-            rooms=rooms,
+            capacities=capacities,
         )
         vars(pack)["world_vertices"] = self.world_vertices
         vars(pack)["searched_faces"] = self.searched_faces

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.batched_surface import GROUP
-from pb4u.collision.rooms import Rooms
+from pb4u.collision.capacities import Capacities
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import GraphNetwork
 from pb4u.network.interaction_block import InteractionBlock
@@ -45,11 +45,11 @@ class _Pending:
             event.record()
         return _Pending(begun, copies, names, event)
 
-    def had_room(self, rooms: Rooms) -> bool:
+    def had_room(self, capacities: Capacities) -> bool:
         """Whether the step had room for all that it found; makes more where it had not."""
         if self.done is not None:
             self.done.synchronize()
-        return not rooms.grow(self.names, self.copies[2])
+        return not capacities.grow(self.names, self.copies[2])
 
     @property
     def state(self) -> State:
@@ -107,8 +107,8 @@ def states_after(
         frames: total number, of which that is one.
         replays: whether steps are replayed as CUDA graphs where their shapes stay; on a card by default.
     """
-    rooms, waiting = timeline.colliders.rooms, None
-    assert rooms is not None
+    capacities, waiting = timeline.colliders.capacities, None
+    assert capacities is not None
     steps = StepGraph(timeline, method, timeline.garments.device.type == "cuda" if replays is None else replays)
     while True:
         pending = None
@@ -116,7 +116,7 @@ def states_after(
             begun = taken
             taken, names, sizes = steps.take(begun)
             pending = _Pending.of(begun, taken.state, names, sizes)
-        if waiting is not None and not waiting.had_room(rooms):
+        if waiting is not None and not waiting.had_room(capacities):
             taken, waiting = waiting.begun, None
             continue
         if waiting is not None:

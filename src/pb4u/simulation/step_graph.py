@@ -69,15 +69,15 @@ class StepGraph:
         self._pool = torch.cuda.graph_pool_handle() if replays and torch.cuda.is_available() else None
 
     def take(self, begun: Taken) -> tuple[Taken, tuple[str, ...], Tensor]:
-        """What comes after `begun`, and the searches and the room that each wanted, as `Rooms.taken` gives them.
+        """What comes after `begun`, and the searches and the room that each wanted, as `Capacities.taken` gives them.
 
         Args:
             begun: at the start of the step.
         """
-        rooms, last = self.timeline.colliders.rooms, begun.last_move
-        assert rooms is not None
+        capacities, last = self.timeline.colliders.capacities, begun.last_move
+        assert capacities is not None
         self._step = self.timeline.step_from(begun.state)
-        graph = self._graphs.setdefault((last is None, *sorted(rooms.sizes.items())), _Graph())
+        graph = self._graphs.setdefault((last is None, *sorted(capacities.sizes.items())), _Graph())
         graph.seen += 1
         replayed = self._replayed(graph, last) if self.replays and graph.seen > 1 else None
         if replayed is None or graph.seen == 3:
@@ -120,10 +120,10 @@ class StepGraph:
         return self._outputs(step, *more[3:])
 
     def _outputs(self, step: TimeStep, last_move: Tensor | None = None) -> Outputs:
-        rooms = self.timeline.colliders.rooms
-        assert rooms is not None
+        capacities = self.timeline.colliders.capacities
+        assert capacities is not None
         with torch.no_grad():
-            *_, prediction = predictions(step, self.method, last_move, rooms)
-        self._names, sizes = rooms.taken()
+            *_, prediction = predictions(step, self.method, last_move, capacities)
+        self._names, sizes = capacities.taken()
         after, move = prediction.state, prediction.last_move
         return (after.positions, after.velocities, sizes, *([] if move is None else [move]))

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pb4u.collision.rooms import Rooms
+from pb4u.collision.capacities import Capacities
 from pb4u.errors import InputError, InputWarning
 from pb4u.network.acceleration_model import require_propagation_steps
 from pb4u.network.graph.features import ADVANCE
@@ -285,7 +285,7 @@ class NetworkSimulator(StepwiseSimulator):
         if not self.on_card:
             return host
         require_memory("the scene", *self._vertices_and_bytes(scenes), self.device)
-        return host.to(self.device, Rooms())
+        return host.to(self.device, Capacities())
 
     def _vertices_and_bytes(self, scenes: Sequence[Scene]) -> tuple[int, int]:
         """Vertices of all garments, those of smaller worlds filled up, and the bytes that a card takes for each."""
@@ -362,10 +362,10 @@ class NetworkSimulator(StepwiseSimulator):
         if not self.on_card:
             yield from super()._moved(timeline, method, scene)
             return
-        rooms = timeline.colliders.rooms
-        assert rooms is not None
+        capacities = timeline.colliders.capacities
+        assert capacities is not None
         first = self.first_frame.start(timeline, method)
-        while rooms.grow(*rooms.taken()):
+        while capacities.grow(*capacities.taken()):
             # Searches were short of room.
             first = self.first_frame.start(timeline, method)
         yield first.state

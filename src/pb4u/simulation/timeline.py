@@ -8,7 +8,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from pb4u.collision.rooms import Rooms
+from pb4u.collision.capacities import Capacities
 from pb4u.environment import Environment
 from pb4u.garment.garment import Garment
 from pb4u.physics.integrator import IMPLICIT_EULER, Integrator
@@ -159,12 +159,12 @@ class Timeline:
         other._poses = self._poses
         return other
 
-    def to(self, device: torch.device, rooms: Rooms) -> Timeline:
+    def to(self, device: torch.device, capacities: Capacities) -> Timeline:
         """This timeline with all that a step reads on `device`.
 
         Args:
             device: of the copy.
-            rooms: fixed numbers of what the searches of its steps find.
+            capacities: fixed numbers of what the searches of its steps find.
         """
         first = self.pose(0)
         self.colliders.surface_groups(self.garments.world_count, first.positions)
@@ -176,7 +176,7 @@ class Timeline:
 
             return BlockedFrames(block, len(frames))
 
-        garments, colliders = self.garments.to(device), self.colliders.to(device, rooms)
+        garments, colliders = self.garments.to(device), self.colliders.to(device, capacities)
         around = self.dt, self.environment, self.integrator
         return Timeline(garments, colliders, moved(self._body), moved(self._skinned), *around)
 

@@ -102,7 +102,7 @@ class Trainer:
             configuration, data, self.learner, self.validation, workers, folder, self.journal
         )
         self.recovery = Recovery(self.learner, workers, folder, self.journal)
-        self.rooms = self.loader.wardrobe.rooms
+        self.capacities = self.loader.wardrobe.capacities
         self.outcomes: list[Outcome] = []
         self.latest_collision = torch.zeros(())
         self.began = time.monotonic()
@@ -113,7 +113,7 @@ class Trainer:
         Raises:
             InputError: a card has no room for a step.
         """
-        if self.rooms is not None:
+        if self.capacities is not None:
             self._require_memory()
         if self.counters.window == 0:
             self.gather_statistics()
@@ -206,7 +206,7 @@ class Trainer:
             rollout = self.begin(number, length=1, settle=bool(number % 2))
             step, network = rollout.next_step(), NetworkPass(self.network, rollout.prepared, rollout.features)
             graph = network.graph(step, start_accelerations(self.start, step))
-            while self.rooms is not None and self.rooms.grow(*self.rooms.taken()):
+            while self.capacities is not None and self.capacities.grow(*self.capacities.taken()):
                 graph = network.graph(step, start_accelerations(self.start, step))
             self.model.gather_statistics(graph, rollout.window.timeline.skinned_acceleration(1))
             self.counters.window += 1
@@ -274,7 +274,7 @@ class Trainer:
         passes, further = self.configuration.network.passes, self.configuration.network.further_passes
         network = NetworkPass(self.network, prepared, rollout.features, passes, nullcontext, further)
         method = StepMethod(self.start, network, search=self.search)
-        passes_made = predictions(step, method, rollout.last_move, self.rooms)
+        passes_made = predictions(step, method, rollout.last_move, self.capacities)
         # The network has no part in the first, which the start alone leads to.
         latest = next(passes_made)
         for latest in passes_made:
@@ -289,7 +289,7 @@ class Trainer:
         drift = drift_from(timeline.skinned(rollout.state.frame), timeline.garments, positions)
         lost = rollout.watch.is_lost(strain, drift, self.latest_collision)
         # On an accelerator nothing more is learnt from them; the processor hears of it with the next line of the log.
-        if self.rooms is None and self.workers.agreed(bool(lost)):
+        if self.capacities is None and self.workers.agreed(bool(lost)):
             rollout.left = 0
         return True
 
@@ -343,19 +343,19 @@ class Trainer:
         self.latest_collision = terms["collision"].detach().double() / weight
         none = finite.new_zeros(())
         idle = none if prediction.worth is None else ~prediction.worth.any()
-        lost = none if self.rooms is None else self.rooms.too_little()
-        if self.rooms is not None and watch is not None:
+        lost = none if self.capacities is None else self.capacities.too_little()
+        if self.capacities is not None and watch is not None:
             # What a search short of room gave is not worth going on from.
             watch.lost = lost = lost if watch.lost is None else lost | watch.lost
         flags = torch.stack([idle, lost, ~finite.all()]).to(positions)
         values = self.workers.mean(torch.cat([torch.stack([*(v.detach() for v in terms.values()), gradient]), flags]))
         outcome = Outcome((*terms, "gradient"), values, {"rate": rate, "collision_weight": weight}, watch)
-        if self.rooms is None and not outcome.finite(values.tolist()):
+        if self.capacities is None and not outcome.finite(values.tolist()):
             return False
         self.outcomes.append(outcome)
         self.counters.step += 1
-        self.learner.step(rate, self.counters.step, None if self.rooms is None else outcome.changes_nothing())
-        if self.rooms is not None and len(self.outcomes) < self.configuration.log_every:
+        self.learner.step(rate, self.counters.step, None if self.capacities is None else outcome.changes_nothing())
+        if self.capacities is not None and len(self.outcomes) < self.configuration.log_every:
             return True
         return self.look_at_outcomes()
 
@@ -364,7 +364,7 @@ class Trainer:
         outcomes, self.outcomes, before = self.outcomes, [], self.counters.step - len(self.outcomes)
         if not outcomes:
             return True
-        if not note_outcomes(outcomes, self.rooms, self.counters, self.journal):
+        if not note_outcomes(outcomes, self.capacities, self.counters, self.journal):
             return False
         if self._due(self.configuration.log_every, before):
             self._log()

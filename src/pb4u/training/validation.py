@@ -157,10 +157,10 @@ class Validation:
 
     def _rollout(self, model: AccelerationModel, sample: Sample) -> tuple[int, float, float]:
         """Frames before the garment is lost, and the sums of their energies without gravity [J] and strains."""
-        window, rooms = self.loader.load([sample], self.frames(sample)), self.loader.wardrobe.rooms
+        window, capacities = self.loader.load([sample], self.frames(sample)), self.loader.wardrobe.capacities
         while True:
             rows = torch.stack(list(self._frames(model, window))).tolist()
-            if rooms is None or not rooms.grow(*rooms.taken()):
+            if capacities is None or not capacities.grow(*capacities.taken()):
                 sound = list(takewhile(lambda row: row[0], rows))
                 return len(sound), sum(row[1] for row in sound), sum(row[2] for row in sound)
 
@@ -169,12 +169,12 @@ class Validation:
 
         A processor ends where it is lost; an accelerator goes on, as it waits for no decision.
         """
-        timeline, rooms, watch = window.timeline, self.loader.wardrobe.rooms, GarmentWatch()
+        timeline, capacities, watch = window.timeline, self.loader.wardrobe.capacities, GarmentWatch()
         garments, state, last_move = timeline.garments, window.start(0.0, self.clearance), None
         method = _method(model, garments)
         for frame in range(window.length):
             step = timeline.step_from(state) if frame else timeline.settling_from(state)
-            *_, prediction = predictions(step, method, last_move, rooms)
+            *_, prediction = predictions(step, method, last_move, capacities)
             after, last_move = prediction.state, prediction.last_move
             finite = torch.isfinite(after.positions)
             positions = torch.where(finite, after.positions, state.positions)
@@ -187,7 +187,7 @@ class Validation:
             lost = watch.is_lost(strain, drift, terms["collision"].sum().double() / REFERENCE_WEIGHT)
             fine = finite.all() & ~lost
             yield torch.stack([fine.double(), torch.as_tensor(energy), strain.double()])
-            if rooms is None and not bool(fine):
+            if capacities is None and not bool(fine):
                 return
 
 

@@ -11,7 +11,7 @@ from typing import Protocol, TypeAlias
 import torch
 from torch import Tensor
 
-from pb4u.collision.rooms import found_rows
+from pb4u.collision.capacities import found_rows
 from pb4u.errors import InputError
 from pb4u.network.graph.features import FeatureLayout
 from pb4u.network.graph.garment_graph import GarmentEdges, GarmentGraph
@@ -218,22 +218,22 @@ class GraphBuilder:
         """Add the body vertices that a garment vertex sees, and the edges between them, where there are any."""
         origin = None if origins is None else origins[collider.colliders.vertex_world]
         now = self._localise(collider.now.positions, origin)
-        rooms = collider.colliders.rooms
+        capacities = collider.colliders.capacities
         garment, body, filled = self._near_pairs(positions, now, collider.colliders)
         if len(body) == 0:
             return
-        if rooms is None:
+        if capacities is None:
             used, body_node = torch.unique(body, return_inverse=True)
         else:
             near = torch.zeros(len(now) + 1, dtype=torch.bool, device=body.device)
             near = near.index_fill(0, torch.where(filled, body, len(now)), True)[:-1]
-            used, filled_nodes = found_rows(near, "body nodes", rooms)
+            used, filled_nodes = found_rows(near, "body nodes", capacities)
             body_node = (near.cumsum(0)[body] - 1).clamp(0, len(used) - 1)
         before, here, after = (pose.positions[used] for pose in (collider.previous, collider.now, collider.following))
         velocity, ahead = (here - before).to(self.dtype), (after - here).to(self.dtype)
         normal = feature_normals(now, collider.colliders.faces)[used]
         world = collider.colliders.vertex_world[used]
-        if rooms is not None:
+        if capacities is not None:
             # What is only room is of no world.
             world = torch.where(filled_nodes, world, len(self.static.vertex_offsets) - 1)
         nodes[BODY] = self._body_nodes(velocity, ahead, normal, duration, world)
@@ -242,12 +242,12 @@ class GraphBuilder:
         relative_now = positions.index_select(0, garment) - now.index_select(0, body_node)
         relative_next = positions.index_select(0, garment) - following.index_select(0, body_node)
         approach = velocities.index_select(0, garment) - (following - now).index_select(0, body_node)
-        real = None if rooms is None else filled
+        real = None if capacities is None else filled
         garments, bodies = incidence(garment, len(positions), real), incidence(body_node, len(used), real)
         features = self._world_features(relative_now, relative_next, approach, duration)
         edges["body_to_garment"] = EdgeSet("world", BODY, GARMENT, bodies, garments, features, "world_edge")
         order = bodies.order
-        real = None if rooms is None else filled[order]
+        real = None if capacities is None else filled[order]
         garments, bodies = (
             incidence(garment[order], len(positions), real),
             incidence(body_node[order], len(used), real),
@@ -279,12 +279,12 @@ class GraphBuilder:
         And which of them are filled (pairs,) bool: all but those that are only room.
         """
         rule = self.world_edges
-        batched = colliders.rooms is not None and isinstance(rule, WorldEdgeRule) and not rule.whole_body
+        batched = colliders.capacities is not None and isinstance(rule, WorldEdgeRule) and not rule.whole_body
         if batched and (groups := colliders.vertex_groups(body)) is not None:
             assert isinstance(rule, WorldEdgeRule)
             places, filled, _ = self.static.world_rows
             points = torch.where(filled[..., None], positions[places], torch.nan)
-            row, near, real = rule.batched_pairs(points, body, groups, colliders.rooms)
+            row, near, real = rule.batched_pairs(points, body, groups, colliders.capacities)
             return places.reshape(-1)[row], near, real
         garment, targets = [], []
         offsets = self.static.world_offsets

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.batched_surface import GROUP, Balls, Groups
+from pb4u.collision.capacities import Capacities, found_rows
 from pb4u.collision.near_vertices import nearest_vertices
-from pb4u.collision.rooms import Rooms, found_rows
 from pb4u.errors import InputError
 from pb4u.scene.colliders import PackedColliders
 
@@ -57,7 +57,7 @@ class WorldEdgeRule:
         return rows[within.reshape(-1)], searched[index[within]]
 
     def batched_pairs(
-        self, points: Tensor, body: Tensor, groups: Groups, rooms: Rooms | None
+        self, points: Tensor, body: Tensor, groups: Groups, capacities: Capacities | None
     ) -> tuple[Tensor, Tensor, Tensor]:
         """The same for all worlds at once and in tensors alone: row of the points, body vertex, and whether filled.
 
@@ -65,17 +65,17 @@ class WorldEdgeRule:
             points: (worlds, points, 3) [m]; one that is not finite is near nothing.
             body: (vertices, 3) of all bodies [m].
             groups: vertices of each world that may be touched.
-            rooms: fixed numbers of what is found; rows that are not filled come last, at row 0.
+            capacities: fixed numbers of what is found; rows that are not filled come last, at row 0.
         """
         points, body, count = points.to(torch.float64), body.to(torch.float64), groups.items.shape[1]
         flat, balls = points.reshape(-1, 3), Balls.around(body[groups.items])
         reached = balls.within(points, torch.full_like(points[..., 0], self.radius))
-        pairs, filled = found_rows(reached, "groups of body vertices", rooms)
+        pairs, filled = found_rows(reached, "groups of body vertices", capacities)
         row = pairs // count
         group = row // points.shape[1] * count + pairs % count
         near, real = groups.items.flatten(0, 1)[group], groups.filled.flatten(0, 1)[group] & filled[:, None]
         squares = (body[near] - flat[row, None]).square().sum(-1)
-        pairs, filled = found_rows((squares < self.radius**2) & real, "near body vertices", rooms)
+        pairs, filled = found_rows((squares < self.radius**2) & real, "near body vertices", capacities)
         row, near, squares = row[pairs // GROUP], near.reshape(-1)[pairs], squares.reshape(-1)[pairs]
         # Nearest first within each point; those over go last.
         row = torch.where(filled, row, len(flat))
@@ -83,7 +83,7 @@ class WorldEdgeRule:
         order = order[torch.argsort(row[order], stable=True)]
         row, near = row[order], near[order]
         rank = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
-        places, filled = found_rows((rank < self.neighbours) & (row < len(flat)), "world edges", rooms)
+        places, filled = found_rows((rank < self.neighbours) & (row < len(flat)), "world edges", capacities)
         return row[places].clamp_max(len(flat) - 1), near[places], filled
 
 

@@ -9,7 +9,7 @@ _SPARE = 1.3
 """Room for the next steps over what was found: garments near a body by and by."""
 
 
-class Rooms:
+class Capacities:
     """Number of rows that each search may find, and the most that it wanted since that was last looked at.
 
     A search that found more than its room gave a wrong result: its step is taken again after `grow`.
@@ -77,18 +77,18 @@ class Rooms:
         return bool(short)
 
 
-def found_rows(mask: Tensor, name: str, rooms: Rooms | None) -> tuple[Tensor, Tensor]:
+def found_rows(mask: Tensor, name: str, capacities: Capacities | None) -> tuple[Tensor, Tensor]:
     """Places (rows,) int64 at which a flattened `mask` holds, ascending, and which of these rows are filled.
 
     Args:
         mask: bool of any shape.
         name: of the search.
-        rooms: gives a fixed number of rows, those left over at place 0; None gives as many as there are.
+        capacities: gives a fixed number of rows, those left over at place 0; None gives as many as there are.
     """
-    if rooms is None:
+    if capacities is None:
         found = torch.nonzero(mask.reshape(-1))[:, 0]
         return found, torch.ones_like(found, dtype=torch.bool)
-    room = rooms.size(name, mask.sum())
+    room = capacities.size(name, mask.sum())
     found = torch.nonzero_static(mask.reshape(-1), size=room, fill_value=-1)[:, 0]
     return found.clamp_min(0), found >= 0
 
