@@ -165,8 +165,8 @@ class TimeStep:
         """
         pins, motion, pull, share = self.pin_positions, self.skinned_motion, self.pull, (k + 1) / count
         if pull is not None:
-            held = self.state.positions[pull.vertices]
-            pull = replace(pull, places=torch.lerp(held, pull.places, share))
+            places = self.state.positions[pull.vertices]
+            pull = replace(pull, places=torch.lerp(places, pull.places, share))
         return replace(
             self,
             state=state,
