@@ -39,7 +39,7 @@ class _Content(NamedTuple):
     faces: list[tuple[int, bytes, int, int]]
     used: list[tuple[int, str]]
     lines: list[tuple[int, bytes, int]]
-    named: dict[str, list[tuple[int, str]]]
+    groups: dict[str, list[tuple[int, str]]]
 
 
 def read_obj(path: Path) -> PolygonMesh:
@@ -78,7 +78,7 @@ def read_obj(path: Path) -> PolygonMesh:
 
 def _objects(content: _Content, count: int) -> tuple[tuple[str, ...], np.ndarray | None]:
     """Names of the objects, or else of the groups, and the number of that of each of `count` faces."""
-    begun = content.named["o"] or content.named["g"]
+    begun = content.groups["o"] or content.groups["g"]
     if not begun:
         return (), None
     names = list(dict.fromkeys(["", *(name for _, name in begun)]))
@@ -155,7 +155,7 @@ def _content(path: Path) -> _Content:
         elif kind == b"vt":
             content.uvs.append((number, line))
         elif kind in (b"o ", b"g ", b"o\t", b"g\t"):
-            content.named[kind[:1].decode()].append((len(content.faces), text_of(line[1:].strip())))
+            content.groups[kind[:1].decode()].append((len(content.faces), text_of(line[1:].strip())))
         elif line.startswith(b"usemtl"):
             content.used.append((len(content.faces), text_of(line[6:].strip())))
     return content

@@ -116,13 +116,13 @@ def _built(run: Run, written_fps: float | None) -> Scene:
     frames, lead_in = led + performed.frames, run.led_frames - led
     garments, specified = load_garments(run.garments, body, run.as_recorded, run.rest_shape)
     garments = [
-        _on_springs(made, spec, frames, lead_in, run.fps) for made, spec in zip(garments, specified, strict=True)
+        _on_springs(item, spec, frames, lead_in, run.fps) for item, spec in zip(garments, specified, strict=True)
     ]
     places: Sequence[np.ndarray | None] = (None,) * len(garments)
     if body is not None and len(garments) > 1:
         places = layered(garments, RestBody.of(body))
     dressed = [
-        DressedGarment(item, _placement(item, collider, places)) for item, places in zip(garments, places, strict=True)
+        DressedGarment(item, _placement(item, collider, layer)) for item, layer in zip(garments, places, strict=True)
     ]
     if led:
         written = round(led * (written_fps or run.fps) / run.fps)

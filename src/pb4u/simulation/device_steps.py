@@ -27,13 +27,13 @@ class _Pending:
         begun: what it left.
         copies: positions and velocities of the state that it led to, and the room that it wanted, on the processor.
         names: of the searches that wanted room.
-        done: recorded behind the copies; None where nothing has to be waited for.
+        event: recorded behind the copies; None where nothing has to be waited for.
     """
 
     begun: Taken
     copies: tuple[Tensor, ...]
     names: tuple[str, ...]
-    done: torch.cuda.Event | None
+    event: torch.cuda.Event | None
 
     @staticmethod
     def of(begun: Taken, state: State, names: tuple[str, ...], sizes: Tensor) -> _Pending:
@@ -47,8 +47,8 @@ class _Pending:
 
     def had_room(self, capacities: Capacities) -> bool:
         """Whether the step had room for all that it found; makes more where it had not."""
-        if self.done is not None:
-            self.done.synchronize()
+        if self.event is not None:
+            self.event.synchronize()
         return not capacities.grow(self.names, self.copies[2])
 
     @property
