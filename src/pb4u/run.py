@@ -327,7 +327,7 @@ class Run:
         return replace(run, frames=written - (run.led_frames if self.keep_lead_in else 0))
 
     def with_entries(self, given: Mapping[str, Any], folder: Path | None = None) -> Run:
-        """Run with other values, named as in a scene file but without its sections; they win as flags do.
+        """Copy of this run with some entries replaced, as flags replace those of a scene file.
 
         Args:
             given: value by name. `garment` is one, or a list, inner first, and replaces all garments with what belongs

@@ -225,12 +225,12 @@ def _lines(garment: dict[str, Any], fix: Path | None, body: str) -> list[str]:
 
     command = fix_command(garment["name"], body)
 
-    def told(finding: dict[str, Any]) -> str:
+    def line_of(finding: dict[str, Any]) -> str:
         # The command stands once, at the end.
         return f"{finding['sentence']} Fix: {finding['fix'].replace(f' with {command}', '')}."
 
     if fix is None:
-        lines = [f"{finding['severity']}: {told(finding)}" for finding in garment["findings"]]
+        lines = [f"{finding['severity']}: {line_of(finding)}" for finding in garment["findings"]]
         lines += [] if garment["held_by"] is None else [f"held up by its {garment['held_by']}."]
         if garment["parts"]:
             parts = [part if fabric is None else f"{part} ({fabric})" for part, fabric in garment["parts"].items()]
@@ -243,7 +243,7 @@ def _lines(garment: dict[str, Any], fix: Path | None, body: str) -> list[str]:
     # Nothing is mended in a file that was not written.
     lines = [f"{'tried' if refused else 'mended'}: {sentence}" for sentence in garment["mended"]]
     lines += [f"not mended: {sentence}" for sentence in garment["left"]]
-    lines += [f"stays: {told(finding)}" for finding in remaining]
+    lines += [f"stays: {line_of(finding)}" for finding in remaining]
     return lines if refused else [*lines, f"written: {fix}"]
 
 

@@ -257,7 +257,7 @@ def _network(job: RunJob) -> NetworkSimulator:
 
 
 def _scene_of(job: RunJob, simulator: Simulator) -> Scene:
-    """The scene of a job at the rate of its simulator; its notes are all that is warned of."""
+    """Scene of a job at the rate of its simulator; its notes are the warnings raised while it was built."""
     from pb4u.simulation.run_simulation import simulated_fps
 
     with _quiet(), noted() as notes:
@@ -277,7 +277,7 @@ def _quiet() -> Iterator[None]:
 # Jobs of an evaluation come sorted by scene: the garment is cut and meshed once for all the models.
 @lru_cache(maxsize=1)
 def _scene(run: Run, written_fps: float) -> Scene:
-    """The scene of a run that is written at another rate [1/s]."""
+    """Scene of a run, whose result is written at `written_fps` [1/s]."""
     from pb4u.scene.assembly import build_scene
 
     with _quiet():

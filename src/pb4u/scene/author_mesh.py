@@ -152,7 +152,7 @@ class SourceTrack:
 
     @staticmethod
     def joined(garments: Sequence[Garment]) -> SourceTrack | None:
-        """Track of several garments joined into one; None where every mesh is simulated as its author made it.
+        """How the authors' meshes of several garments follow the simulated ones; None if all are simulated as they are.
 
         Args:
             garments: the garments, in the order of their vertices.

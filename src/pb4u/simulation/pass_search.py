@@ -124,9 +124,9 @@ def _newton_lengths(curvature: Tensor, slope: Tensor) -> Tensor:
 
 
 def eigenvectors(matrices: Tensor) -> tuple[Tensor, Tensor]:
-    """Eigenvalues (worlds, n) and eigenvectors, the columns of (worlds, n, n), of symmetric ones of one or two rows.
+    """Eigenvalues (worlds, n) and eigenvectors, the columns of (worlds, n, n), of symmetric 1x1 or 2x2 matrices.
 
-    In closed form: a library's solver makes an accelerator wait for its verdict.
+    In closed form: the solvers of libraries synchronise a GPU.
 
     Args:
         matrices: (worlds, n, n) of any unit.

@@ -149,8 +149,8 @@ def _recorded(folder: Path) -> dict[str, list[Motion]]:
     if "train" not in motions:
         first = next(iter(trials))
         raise InputError(
-            f"The folder {folder} holds no file of {', '.join(_OTHER_RECORDINGS)}, and none of the recordings of the "
-            f"catalogue, such as {first.split('_')[0]}/{first}.amc."
+            f"The folder {folder} holds neither a {', '.join(_OTHER_RECORDINGS)} file nor a CMU recording, such as "
+            f"{first.split('_')[0]}/{first}.amc."
         )
     if "validation" not in motions and len(motions["train"]) > 1:
         motions["validation"] = [motions["train"].pop()]

@@ -138,7 +138,7 @@ class BrowserWindow:
         return f"{name} was handed to the browser; run it with `pb4u simulate scene.toml`."
 
     def film(self, suffix: str) -> None:
-        """Begin to take pictures of the view as it is.
+        """Begin to take pictures of the current view.
 
         Args:
             suffix: ".png" for the frame that is shown, ".gif" or ".mp4" for all of them.

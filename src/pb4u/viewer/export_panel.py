@@ -34,7 +34,7 @@ class ExportPanel(Panel):
         self._go = gui.add_button("Export")
         self._status = gui.add_html("")
         self._go.on_click(self._answer(self._export))
-        with gui.add_folder("The view as it is"):
+        with gui.add_folder("Current view"):
             self._still = gui.add_button("Still of this frame")
             self._film_format = gui.add_dropdown("Video", FILM_SUFFIXES[1:], initial_value=usual_video())
             self._film = gui.add_button("Video of all frames")

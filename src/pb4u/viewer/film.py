@@ -1,4 +1,4 @@
-"""Pictures of the view as it is in the browser: one frame as a still, all of them as a video."""
+"""Pictures of the current view in the browser: one frame as a still, all frames as a video."""
 
 from __future__ import annotations
 
