@@ -147,7 +147,7 @@ def test_what_steps_gave_is_read_once_a_line_of_the_log(in_tensors: None, monkey
     taken: list[bool] = []
     learn = trainer.learn
     monkeypatch.setattr(trainer, "learn", lambda *given: taken.append(learn(*given)) or taken[-1])
-    while rollout.left:
+    while rollout.steps_left:
         assert trainer.advance(rollout)
     assert len(reads) == len(taken) // 3 >= 2
 

@@ -251,7 +251,7 @@ class Trainer:
             for rollout in rollouts:
                 if not self.advance(rollout):
                     return RoundEnd.CAME_APART
-            rollouts = [rollout for rollout in rollouts if rollout.left and not rollout.watch.seen_lost]
+            rollouts = [rollout for rollout in rollouts if rollout.steps_left and not rollout.watch.seen_lost]
             ending = self._ending() if rollouts else None
             if ending == "stopped":
                 return RoundEnd.STOPPED
@@ -265,7 +265,7 @@ class Trainer:
         Args:
             rollout: the window, and how far it has come; changed.
         """
-        taken = rollout.window.length - rollout.left
+        taken = rollout.window.length - rollout.steps_left
         steps = [
             self.sampler.propagation_steps(index, taken, ruled)
             for index, ruled in zip(self._indices(rollout.number), rollout.prepared.steps, strict=True)
@@ -283,14 +283,14 @@ class Trainer:
         after, rollout.last_move = latest.state, latest.last_move
         state = replace(after, positions=after.positions.detach(), velocities=after.velocities.detach())
         rollout.state = self.with_initial_velocity(rollout, state) if rollout.settles else state
-        rollout.settles, rollout.left = False, rollout.left - 1
+        rollout.settles, rollout.steps_left = False, rollout.steps_left - 1
         timeline, positions = rollout.window.timeline, rollout.state.positions
         strain = strain_percentile(timeline.garments, positions)
         drift = drift_from(timeline.skinned(rollout.state.frame), timeline.garments, positions)
         lost = rollout.watch.is_lost(strain, drift, self.latest_collision)
         # On an accelerator nothing more is learnt from them; the processor hears of it with the next line of the log.
         if self.capacities is None and self.workers.agreed(bool(lost)):
-            rollout.left = 0
+            rollout.steps_left = 0
         return True
 
     def with_initial_velocity(self, rollout: Rollout, settled: State) -> State:

@@ -186,7 +186,7 @@ class Rollout:
         features: node features of them.
         watch: sees whether they are lost.
         settles: whether the next step is the settling one.
-        left: steps to go.
+        steps_left: steps to go.
         last_move: what `take` would give with the state.
     """
 
@@ -197,7 +197,7 @@ class Rollout:
     features: StepFeatures
     watch: GarmentWatch
     settles: bool
-    left: int
+    steps_left: int
     last_move: Tensor | None = None
 
     def next_step(self) -> TimeStep:
