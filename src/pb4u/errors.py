@@ -114,7 +114,7 @@ def on_disk(what: str, kind: type[Pb4uError] = InputError) -> Iterator[None]:
 
 
 def sentence_on(error: BaseException) -> str | None:
-    """Sentence on an error of this package, of the memory or of the disk; None on any other, which is nobody's input.
+    """Sentence on an error of this package, of the memory or of the disk; None for any other, which is a fault of ours.
 
     Args:
         error: the error.

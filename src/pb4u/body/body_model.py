@@ -164,10 +164,10 @@ class ShapedBody:
     _kept: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def kept(self, name: str, make: Callable[[ShapedBody], Kept]) -> Kept:
-        """What `make` works out from this body, done once and kept as long as the body lives.
+        """Result of `make` on this body, computed once and cached with the body.
 
         Args:
-            name: of what is kept.
+            name: of the result in the cache.
             make: called with the body.
         """
         if name not in self._kept:

@@ -64,7 +64,7 @@ class DatasetFolder(JobFolder):
             self._in_shards = _shard_members(path / SHARDS)
 
     def result(self, job: Any) -> dict[str, Any] | None:
-        """The record of a clip; None where it, or its trajectory, is not there whole.
+        """The record of a clip; None where it or its trajectory is missing or damaged.
 
         Args:
             job: the clip.

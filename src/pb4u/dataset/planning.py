@@ -55,7 +55,7 @@ def plan_clips(runs: Sequence[Run], half: bool, say: Callable[[str], None]) -> t
 
 
 def together(jobs: Sequence[RunJob]) -> list[RunJob | JobPack]:
-    """The clips in packs, where a card takes their steps whole: launches are the same for many as for one.
+    """The clips in packs, where a GPU computes whole steps: a pack needs no more kernel launches than one clip.
 
     Args:
         jobs: the clips.

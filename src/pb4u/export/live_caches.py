@@ -89,7 +89,7 @@ class LiveCaches:
         self._folder = folder
 
     def append(self, frame: Frame) -> None:
-        """Take a computed frame, and write those that are known now.
+        """Take a computed frame, and write the frames that can be interpolated from what has come.
 
         Args:
             frame: the next one.

@@ -70,7 +70,7 @@ def _numbered(path: Path) -> list[tuple[Path, int]]:
 
 
 def is_own(mesh: Path) -> bool:
-    """Whether an OBJ file was written here.
+    """Whether this package wrote an OBJ file.
 
     Args:
         mesh: path of the OBJ.

@@ -75,7 +75,7 @@ def pieces(header: TrajectoryHeader) -> list[Piece]:
 
 
 def names_apart(names: Sequence[str], between: str) -> list[str]:
-    """The names, those that were there before with the first free number after them.
+    """The names made unique: a repeated one gets the first free number.
 
     Args:
         names: some of them perhaps equal.

@@ -58,7 +58,7 @@ class Appearances:
         return replace(self, of_face=self.of_face[faces])
 
     def named_apart(self) -> Appearances:
-        """The same with a name of its own for each, as a file that tells them by name needs."""
+        """The same with unique names, for files that refer to appearances by name."""
         taken, renamed = set[str](), list[Appearance]()
         for look in self.listed:
             names = chain((look.name,), (f"{look.name}.{number}" for number in count(1)))

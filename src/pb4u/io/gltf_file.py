@@ -172,7 +172,7 @@ class GltfDocument:
         }  # fmt: skip
 
     def add_view(self, content: bytes, **more: Any) -> int:
-        """Number of the buffer view that bytes are added as.
+        """Add bytes as a buffer view, and give its number.
 
         Args:
             content: the bytes.
@@ -184,7 +184,7 @@ class GltfDocument:
         return len(self.json["bufferViews"]) - 1
 
     def add(self, values: np.ndarray, kind: str, component: int, target: int | None = None, **more: Any) -> int:
-        """Number of the accessor that an array is added as.
+        """Add an array, and give the number of its accessor.
 
         Args:
             values: (count, ...) little-endian, of the component type.
@@ -199,7 +199,7 @@ class GltfDocument:
         return len(self.json["accessors"]) - 1
 
     def add_vectors(self, values: np.ndarray, bounded: bool = False) -> int:
-        """Number of the accessor that vectors by vertex are added as.
+        """Add a vector for each vertex, and give the number of their accessor.
 
         Args:
             values: (vertices, components) float.

@@ -49,7 +49,7 @@ class JobPack:
 
 
 def jobs_of(job: Job) -> tuple[Any, ...]:
-    """The jobs of a pack, or the one that is none."""
+    """The jobs of a pack; of a single job that one."""
     return job.jobs if isinstance(job, JobPack) else (job,)
 
 

@@ -120,7 +120,7 @@ class JobFolder:
         return self.path / self.arrays / f"{job.key}.npz"
 
     def take(self, job: Job, outcome: Made | Failure) -> None:
-        """Keep what came of a job.
+        """Store the outcome of a job.
 
         Args:
             job: the job asked for.
@@ -169,7 +169,7 @@ class JobFolder:
         )
 
     def result(self, job: Job) -> dict[str, Any] | None:
-        """The result of a job; None where there is none, or none that is whole.
+        """The result of a job; None where it is missing or damaged.
 
         Args:
             job: the job.
@@ -307,10 +307,10 @@ class JobFolder:
 
 
 def quiet(label: str) -> AbstractContextManager[Progress]:
-    """No display.
+    """No progress bar.
 
     Args:
-        label: what a display would show.
+        label: what a bar would be called.
     """
     return nullcontext(no_progress)
 

@@ -42,7 +42,7 @@ _CELL = 5e-4
 
 
 class Band(NamedTuple):
-    """What is published of a fabric or its class.
+    """Range of drape coefficients published for a fabric or its class.
 
     Args:
         lowest: drape coefficient [%].
@@ -57,13 +57,13 @@ class Band(NamedTuple):
 
 @cache
 def published() -> dict[str, Band]:
-    """What is published of the built-in fabrics, by name; of some there is nothing."""
+    """Published ranges of the built-in fabrics, by name; fabrics without any are left out."""
     return {name: Band(**record) for name, record in read_json(DATA / "drape_bands.json").items()}
 
 
 @dataclass(frozen=True, eq=False)
 class DrapeTest:
-    """What a disc has come to.
+    """Result of a drape test.
 
     Args:
         coefficient: share of the ring that its shadow covers [%].

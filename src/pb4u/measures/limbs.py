@@ -196,12 +196,12 @@ class LimbWatch:
         return garment["name"], enough if enough > count else None
 
     def sentences(self, bones: Sequence[str], frame: int, counts: dict[str, int]) -> list[str]:
-        """What is said of limbs when they are found first, one sentence a garment; none of skinning.
+        """Warnings of limbs that are newly through cloth, one a garment; none where skinning alone moved it.
 
         Args:
             bones: their names, of `needs`.
             frame: number of the frame.
-            counts: name of a garment -> triangles that are advised already; what is said here is added.
+            counts: name of a garment -> triangles that were advised before; those advised here are added.
         """
         if not has_physics(self.header):
             return []

@@ -274,7 +274,7 @@ def pinched(
 
 
 class FrameMetrics(NamedTuple):
-    """Metrics of one frame; not a number where a position is none.
+    """Metrics of one frame; NaN where a position is not finite.
 
     Args:
         metrics: energies [J] summed over garments, strains over all faces, and penetration where the body has an

@@ -21,7 +21,7 @@ _RATE = 30.0
 
 
 def holds_people(content: Any) -> bool:
-    """Whether a pickle is a result of WHAM: people by their number; the empty one, of nobody, as well.
+    """Whether a pickle is a result of WHAM: people by number, or an empty dictionary where it found nobody.
 
     Args:
         content: content of the pickle.

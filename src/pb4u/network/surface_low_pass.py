@@ -1,4 +1,4 @@
-"""Values on garments without what is short along the surface: a screened Poisson equation on the rest mesh."""
+"""Values on garments without their short wavelengths: a screened Poisson equation on the rest mesh."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ class PerVertexScaling:
         return garments.incident_length[:, None]
 
     def on_bulk(self, lengths: Tensor) -> Tensor:
-        """Factors (vertices, 1), dimensionless, on what is long, where edges have the given lengths.
+        """Factors (vertices, 1), dimensionless, on the bulk (long wavelengths), where edges have the given lengths.
 
         Args:
             lengths: (vertices, 1) [m].
@@ -75,7 +75,7 @@ class PerVertexScaling:
         return lengths / self.reference_length
 
     def low_pass(self, garments: PackedGarments) -> SurfaceLowPass | None:
-        """What tells bulk from wrinkles, or None where both have one factor.
+        """Low-pass filter that separates bulk from wrinkles; None where both have one factor.
 
         Args:
             garments: the pack.

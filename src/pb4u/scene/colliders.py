@@ -130,7 +130,7 @@ class PackedColliders:
 
     @cached_property
     def searched_faces(self) -> tuple[np.ndarray, ...]:
-        """The same of the faces that the surface of each world searches, in its order; none without a surface."""
+        """Indices (faces,) int64 into `contact_faces` of what each world's surface searches, in its order."""
         return tuple(
             names.cpu().numpy()[:0] if surface is None else names.cpu().numpy()[surface.names]
             for names, surface in zip(self.world_contact_faces, self.surfaces, strict=True)

@@ -101,7 +101,7 @@ class PackedGarments:
 
     @property
     def lame_lambda(self) -> Tensor:
-        """First Lame parameter (faces,) [Pa] likewise."""
+        """First Lame parameter (faces,) [Pa] of the isotropic cloth that is nearest: what networks read."""
         return nearest_isotropic(*self.membrane.unbind(1))[1].clamp_min(0.0) / Material.thickness
 
     @cached_property
@@ -111,7 +111,7 @@ class PackedGarments:
 
     @cached_property
     def damps(self) -> bool:
-        """Whether some cloth resists a change of its shape; likewise."""
+        """Whether some cloth resists a change of its shape; known without asking the device."""
         return any(material.damping_time > 0.0 for material in self._materials)
 
     @property
@@ -191,7 +191,7 @@ class PackedGarments:
 
     @cached_property
     def surface_tree_of_each(self) -> SurfaceTree:
-        """The same where a garment comes near itself alone."""
+        """Search for elements that come near others of the same garment."""
         alone = tuple(range(self.garment_count))
         return self.surface_tree if alone == self.worlds else self._tree(alone)
 

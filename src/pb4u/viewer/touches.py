@@ -82,7 +82,7 @@ class Touches:
         self._grasp = _Grasp(Hand.at(live.packed, cloth, tuple(at)).vertices, finite(point), follows)
 
     def draw(self, point: Point) -> None:
-        """Draw what is held to another point of the view.
+        """Pull the cloth in the hand to another point of the view.
 
         Args:
             point: (3,) [m] in the view.
@@ -173,7 +173,7 @@ class Touches:
         return clip
 
     def of_step(self, live: LiveRun, clip: GrowingClip) -> Touch | None:
-        """What is done over the next step; None for nothing.
+        """Hand and wind of the next step; None for neither.
 
         Args:
             live: the run.
