@@ -126,8 +126,8 @@ def _vrm_bones(file: GltfFile) -> dict[str, int]:
     extensions = file.document.get("extensions", {})
     old = extensions.get("VRM", {}).get("humanoid", {}).get("humanBones", [])
     new = extensions.get("VRMC_vrm", {}).get("humanoid", {}).get("humanBones", {})
-    bones_listed = {str(bone["bone"]): int(bone["node"]) for bone in old} if isinstance(old, list) else {}
-    return bones_listed | {str(name): int(bone["node"]) for name, bone in new.items()}
+    of_vrm_0 = {str(bone["bone"]): int(bone["node"]) for bone in old} if isinstance(old, list) else {}
+    return of_vrm_0 | {str(name): int(bone["node"]) for name, bone in new.items()}
 
 
 def completed_bones(

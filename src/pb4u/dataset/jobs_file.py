@@ -86,10 +86,10 @@ def _described_clips(tables: dict[str, Any]) -> tuple[int, Iterator[dict[str, An
     fixed = require_entries("[fixed]", tables.get("fixed", {}), _KNOWN)
     varied = require_entries("[product]", tables.get("product", {}), _KNOWN)
     lists = {name: _choices(name, value) for name, value in varied.items()}
-    clips_listed = tables.get("clips", [])
-    if not isinstance(clips_listed, list):
+    clip_tables = tables.get("clips", [])
+    if not isinstance(clip_tables, list):
         raise InputError("each clip is a section of its own, written [[clips]].")
-    singles = [require_entries("[[clips]]", clip, _KNOWN) for clip in clips_listed]
+    singles = [require_entries("[[clips]]", clip, _KNOWN) for clip in clip_tables]
     for name in lists:
         if name in fixed:
             raise InputError(f"{name} stands in [fixed] and in [product]; leave it in one.")

@@ -17,11 +17,11 @@ def textured(garment: Garment, image: bytes) -> Garment:
         garment: that wears it; where it is remeshed, its author's mesh does.
         image: content of a PNG or JPEG file.
     """
-    looks_listed = (Appearance("texture", image=image),)
-    result = replace(garment, appearances=Appearances(looks_listed, np.zeros(len(garment.faces), dtype=np.int64)))
+    image_looks = (Appearance("texture", image=image),)
+    result = replace(garment, appearances=Appearances(image_looks, np.zeros(len(garment.faces), dtype=np.int64)))
     if garment.source is not None:
         mesh = garment.source.source
-        looks = Appearances(looks_listed, np.zeros(len(mesh.polygons), dtype=np.int64))
+        looks = Appearances(image_looks, np.zeros(len(mesh.polygons), dtype=np.int64))
         uvs = (mesh.uvs, mesh.polygon_uvs) if mesh.uvs is not None else (_from_front(mesh.vertices), mesh.polygons)
         mesh = replace(mesh, uvs=uvs[0], polygon_uvs=uvs[1], appearances=looks)
         result = replace(result, source=replace(garment.source, source=mesh))

@@ -116,8 +116,8 @@ class GrowingClip(Clip):
         super().__init__(label, room, room)
         self._count = count
         self._notes: tuple[str, ...] = () if before is None else before._notes
-        for values, before_values in zip(self._values, () if before is None else before._values, strict=False):
-            values[:count] = before_values[:count]
+        for values, old_values in zip(self._values, () if before is None else before._values, strict=False):
+            values[:count] = old_values[:count]
 
     def until(self, count: int, header: TrajectoryHeader | None = None) -> GrowingClip:
         """A clip of its own that begins with the first frames of this one, which stays as it is.
