@@ -142,8 +142,8 @@ def unknown_bones(names: Sequence[str], parents: Sequence[int]) -> str:
     bones = _by_words(names, parents)
     plain = {name.casefold() for name in names}
     nearest = max(SCHEMES, key=lambda scheme: sum(name.casefold() in plain for _, name in _named(scheme)))
-    names_here = {"head": "Head", **dict(_named(nearest))}
-    missing = {joint: names_here[joint] for joint in sorted(NEEDED, key=list(names_here).index) if joint not in bones}
+    scheme = {"head": "Head", **dict(_named(nearest))}
+    missing = {joint: scheme[joint] for joint in sorted(NEEDED, key=list(scheme).index) if joint not in bones}
     if not missing:
         return "legs, trunk, arms and head do not hang together as a human's"
     free = {bone: name for bone, name in enumerate(names) if bone not in bones.values()}

@@ -334,8 +334,8 @@ def _chosen(path: Path, parts: list[_Part], names: Collection[str] | None) -> tu
         )
     if sum(len(part.faces) for part in chosen) > _MOST_TRIANGLES:
         raise InputError(f"{path} has over {_MOST_TRIANGLES:,} triangles; decimate it in the program it comes from.")
-    titles_kept = {part.title for part in chosen}
-    return chosen, [title for title in titles if title not in titles_kept]
+    chosen_titles = {part.title for part in chosen}
+    return chosen, [title for title in titles if title not in chosen_titles]
 
 
 def _world(
@@ -371,7 +371,7 @@ def _world(
             notes.append(f"{path.name}: turned {upright}to face +Z, by its hips, head and feet.")
     world = np.eye(4)
     world[:3, :3] = UNITS[unit] * turn
-    places_now = vertices @ world[:3, :3].T
-    middle = world[:3, :3] @ places[0] if "pelvis" in names else 0.5 * (places_now.min(axis=0) + places_now.max(axis=0))
-    world[:3, 3] = -np.array([middle[0], places_now[:, 1].min(), middle[2]])
+    turned = vertices @ world[:3, :3].T
+    middle = world[:3, :3] @ places[0] if "pelvis" in names else 0.5 * (turned.min(axis=0) + turned.max(axis=0))
+    world[:3, 3] = -np.array([middle[0], turned[:, 1].min(), middle[2]])
     return world, names, notes
