@@ -1,8 +1,8 @@
 """Machine code of kernels on disk, found by what it was compiled from: edited, a kernel and its callers compile again.
 
 Numba looks at the file of a kernel alone, and at that file's place. Here a name holds a digest of the code of the
-kernel, of every kernel that it calls, in whatever file, and of the constants that they read. So no code is stale, and
-copies of the package share one folder.
+kernel, of every kernel that it calls, in whatever file, of the constants that they read, and of the names of the types
+that they take, which are in the files too. So no code is stale, and copies of the package share one folder.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import contextlib
 import functools
 import hashlib
 import os
+import pickle
 import stat
 import sys
 import time
@@ -56,7 +57,15 @@ class KernelCache:
             signature: types of the arguments.
             target: what Numba compiles for.
         """
-        return self._files.load_overload(signature, target) if is_trusted(Path(self.cache_path)) else None
+        if not is_trusted(Path(self.cache_path)):
+            return None
+        try:
+            return self._files.load_overload(signature, target)
+        except (AttributeError, EOFError, ImportError, pickle.UnpicklingError):
+            # Damaged, or of a type that is no longer there: it is compiled again, and written over.
+            with contextlib.suppress(OSError):
+                self._files.flush()
+            return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep machine code; where that cannot be, say once where it could.
@@ -117,7 +126,7 @@ def is_trusted(folder: Path) -> bool:
 
 
 def digest(kernel: Dispatcher) -> str:
-    """Name of all that a kernel is compiled from: its code, that of its callees, and their constants.
+    """Name of all that a kernel is compiled from: its code, that of its callees, their constants and types.
 
     Args:
         kernel: whose code it is.
@@ -135,7 +144,7 @@ def _parts(kernel: Dispatcher, seen: set[Dispatcher]) -> Iterator[str]:
     function = kernel.py_func
     freedom = sorted(kernel.targetoptions.get("fastmath") or ())
     names = list(_code(function.__code__))
-    yield f"{function.__qualname__}{function.__defaults__}{freedom}{names}"
+    yield f"{function.__qualname__}{function.__defaults__}{function.__annotations__}{freedom}{names}"
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     reached = {name: cell.cell_contents for name, cell in cells} | function.__globals__
     for name in sorted({name for _, _, named, _ in names for name in named} & reached.keys()):
