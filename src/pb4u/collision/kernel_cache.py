@@ -114,15 +114,15 @@ def is_trusted(folder: Path) -> bool:
         folder: of machine code, absent or not.
     """
     try:
-        found = folder.lstat()
+        status = folder.lstat()
     except OSError:
         return False
-    if not stat.S_ISDIR(found.st_mode):
+    if not stat.S_ISDIR(status.st_mode):
         return False
     if not hasattr(os, "getuid"):  # Windows: folders of a user are its own
         return True
     owners = {0, os.getuid(), PACKAGE.stat().st_uid}
-    return found.st_uid in owners and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return status.st_uid in owners and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def digest(kernel: Dispatcher) -> str:
@@ -146,8 +146,8 @@ def _parts(kernel: Dispatcher, seen: set[Dispatcher]) -> Iterator[str]:
     names = list(_code(function.__code__))
     yield f"{function.__qualname__}{function.__defaults__}{function.__annotations__}{freedom}{names}"
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-    reached = {name: cell.cell_contents for name, cell in cells} | function.__globals__
-    for name in sorted({name for _, _, named, _ in names for name in named} & reached.keys()):
+    reached = {name: cell.cell_contents for name, cell in cells} | function.__reads_
+    for name in sorted({name for _, _, reads, _ in names for name in reads} & reached.keys()):
         yield from _value(name, reached[name], names, seen)
 
 
@@ -156,8 +156,8 @@ def _code(code: CodeType) -> Iterator[tuple[str, str, tuple[str, ...], tuple[str
     inner = [constant for constant in code.co_consts if isinstance(constant, CodeType)]
     constants = tuple(constant for constant in code.co_consts if not isinstance(constant, CodeType))
     yield code.co_code.hex(), repr(constants), code.co_names + code.co_freevars, code.co_varnames
-    for each in inner:
-        yield from _code(each)
+    for function in inner:
+        yield from _code(function)
 
 
 def _value(name: str, value: Any, code: list[Any], seen: set[Dispatcher]) -> Iterator[str]:
@@ -170,7 +170,7 @@ def _value(name: str, value: Any, code: list[Any], seen: set[Dispatcher]) -> Ite
         module = Path(value._defn.__code__.co_filename)
         yield f"{name}:{hashlib.sha256(module.read_bytes()).hexdigest()}"
     elif isinstance(value, ModuleType) and value.__name__.partition(".")[0] not in ("numpy", "math", "numba"):
-        attributes = {attribute for _, _, named, _ in code for attribute in named}
+        attributes = {attribute for _, _, reads, _ in code for attribute in reads}
         for attribute in sorted(attributes & vars(value).keys()):
             yield from _value(f"{name}.{attribute}", vars(value)[attribute], code, seen)
     elif isinstance(value, np.ndarray):

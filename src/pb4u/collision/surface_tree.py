@@ -123,8 +123,8 @@ class SurfaceTree:
         return self._query(np.ones(len(self.rest), dtype=bool))
 
     def _query(self, among: np.ndarray) -> Query:
-        asked: Query = query_of(self.boxes, self.faces, among)
-        return asked
+        query: Query = query_of(self.boxes, self.faces, among)
+        return query
 
     def pairs(
         self,
