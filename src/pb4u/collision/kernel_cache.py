@@ -146,7 +146,7 @@ def _parts(kernel: Dispatcher, seen: set[Dispatcher]) -> Iterator[str]:
     names = list(_code(function.__code__))
     yield f"{function.__qualname__}{function.__defaults__}{function.__annotations__}{freedom}{names}"
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-    reached = {name: cell.cell_contents for name, cell in cells} | function.__reads_
+    reached = {name: cell.cell_contents for name, cell in cells} | function.__globals__
     for name in sorted({name for _, _, reads, _ in names for name in reads} & reached.keys()):
         yield from _value(name, reached[name], names, seen)
 
