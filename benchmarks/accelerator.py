@@ -28,7 +28,7 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils.flop_counter import flop_registry
 
-from pb4u.collision.rooms import Rooms
+from pb4u.collision.capacities import Capacities
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.network.registry import NETWORKS
 from pb4u.physics.incremental_potential import IncrementalPotential
@@ -202,20 +202,20 @@ def count(name: str, *scenes: Scene, card: torch.device = CARD) -> tuple[Counted
         scenes: of at least four frames, each a world of one pack.
         card: fake CUDA device, or "meta", which is quicker and needs no process of its own.
     """
-    timeline, model = Timeline.of_worlds(scenes).to(torch.device("cpu"), Rooms()), model_of(name)
-    method, rooms = method_of(model, timeline), timeline.colliders.rooms
-    assert rooms is not None
+    timeline, model = Timeline.of_worlds(scenes).to(torch.device("cpu"), Capacities()), model_of(name)
+    method, capacities = method_of(model, timeline), timeline.colliders.capacities
+    assert capacities is not None
     with torch.no_grad():
-        *_, after = predictions(timeline.step_from(timeline.skinned_state(1)), method, rooms=rooms)
-    rooms.grow(*rooms.taken())
-    passes = rooms.sizes.get("passes", method.network.passes)
+        *_, after = predictions(timeline.step_from(timeline.skinned_state(1)), method, capacities=capacities)
+    capacities.grow(*capacities.taken())
+    passes = capacities.sizes.get("passes", method.network.passes)
     step = timeline.step_from(after.state)
     with fake_card() if card.type == "cuda" else nullcontext(), torch.no_grad():
         for _ in range(2):
             # What is made once is made by the first of the two.
             known, taken, last_move = faked((step, method, after.last_move), card)
             with Counted() as counted:
-                *_, made = predictions(known, taken, last_move, known.collider.colliders.rooms)
+                *_, made = predictions(known, taken, last_move, known.collider.colliders.capacities)
             assert made.state.positions.device.type == card.type
     return counted, f"{passes} passes" if method.network.further else f"{passes} pass"
 
@@ -254,7 +254,7 @@ def measured_page(models: list[str], triangles: list[int], steps: int) -> Iterat
             scene = make_scene("dress", motion="walk", frames=steps, triangles=number)
             host, model = Timeline.of(scene), model_of(name)
             torch.cuda.reset_peak_memory_stats()
-            timeline = host.to(card, Rooms())
+            timeline = host.to(card, Capacities())
             method = method_of(model.to(card), timeline)
             each = []
             for replays in (False, True):

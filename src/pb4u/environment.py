@@ -79,7 +79,7 @@ class Environment:
     @property
     def changed(self) -> dict[str, Any]:
         """Fields that are not as usual, by name."""
-        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: value for name, value in values.items() if value != getattr(Environment, name)}
 
 

@@ -114,7 +114,7 @@ def on_disk(what: str, kind: type[Pb4uError] = InputError) -> Iterator[None]:
 
 
 def sentence_on(error: BaseException) -> str | None:
-    """Sentence on an error of this package, of the memory or of the disk; None on any other, which is nobody's input.
+    """Sentence on an error of this package, of the memory or of the disk; None for any other, which is a fault of ours.
 
     Args:
         error: the error.
@@ -142,10 +142,10 @@ _NOTED: ContextVar[tuple[list[str], ...]] = ContextVar("noted", default=())
 @contextmanager
 def noted() -> Iterator[list[str]]:
     """The sentences that are warned of meanwhile, whoever else hears them, each once and in their order."""
-    told: list[str] = []
-    token = _NOTED.set((*_NOTED.get(), told))
+    notes: list[str] = []
+    token = _NOTED.set((*_NOTED.get(), notes))
     try:
-        yield told
+        yield notes
     finally:
         _NOTED.reset(token)
 
@@ -157,25 +157,25 @@ def warn(sentence: str, kind: type[InputWarning] = InputWarning) -> None:
         sentence: one plain sentence.
         kind: of the warning.
     """
-    for told in _NOTED.get():
-        if sentence not in told:
-            told.append(sentence)
+    for notes in _NOTED.get():
+        if sentence not in notes:
+            notes.append(sentence)
     depth, frame = 2, sys._getframe(1)
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("pb4u."):
         depth, frame = depth + 1, frame.f_back
     warnings.warn(sentence, kind, depth)
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") -> InputError:
-    """Error for a name that is none of the `known`, with the names nearest to it.
+def unknown_name(kind: str, name: str, choices: Iterable[str], where: str = "") -> InputError:
+    """Error for a name that is none of the `choices`, with the names nearest to it.
 
     Args:
         kind: kind of thing that was named, such as "garment".
         name: name that was given.
-        known: every name there is.
+        choices: every name there is.
         where: section that holds things of the kind, such as "[scene]".
     """
-    names = list(known)
+    names = list(choices)
     alias = _ALIASES.get(name.lower())
     near = [alias] if alias in names else get_close_matches(name.lower(), names, n=3, cutoff=0.6)
     rest = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
@@ -194,22 +194,22 @@ def unread_kind(path: Path, kind: str, suffixes: Iterable[str]) -> InputError:
         suffixes: of the kinds that are read.
     """
     suffix = path.suffix.lower().removeprefix(".")
-    hint = next((f" {sentence}" for known, sentence in _ELSEWHERE.items() if suffix in known), "")
+    hint = next((f" {sentence}" for suffixes, sentence in _ELSEWHERE.items() if suffix in suffixes), "")
     return InputError(f"{path} is of no kind of {kind} file that is read; those end in {', '.join(suffixes)}.{hint}")
 
 
-def refuse_unknown(kind: str, names: Iterable[str], known: Collection[str], where: str = "") -> None:
-    """Refuse names that are none of the `known`; arguments as in `unknown_name`.
+def refuse_unknown(kind: str, names: Iterable[str], choices: Collection[str], where: str = "") -> None:
+    """Refuse names that are none of the `choices`; arguments as in `unknown_name`.
 
     Args:
         kind: kind of thing that was named.
         names: names that were given.
-        known: every name there is.
+        choices: every name there is.
         where: section that holds things of the kind.
 
     Raises:
         InputError: one of them is unknown; the sentence names the first.
     """
     for name in names:
-        if name not in known:
-            raise unknown_name(kind, name, known, where)
+        if name not in choices:
+            raise unknown_name(kind, name, choices, where)

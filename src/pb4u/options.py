@@ -109,26 +109,26 @@ def described(record: type) -> Mapping[str, Entry]:
         record: a dataclass whose docstring says what each field is.
     """
     texts, hints = argument_texts(record), get_type_hints(record, include_extras=True)
-    found = {}
-    for each in fields(record):
-        hint = hints[each.name]
+    entries = {}
+    for field in fields(record):
+        hint = hints[field.name]
         if get_origin(hint) is not Annotated:
             continue
         kinds, flag = get_args(hint)[0], get_args(hint)[1]
         if is_dataclass(kinds) and isinstance(kinds, type):
             for name, inner in described(kinds).items():
-                of = replace(inner.flag, panel=flag.panel, section=each.name, applies_to=flag.applies_to)
-                found[name] = replace(inner, flag=of, holder=each.name)
+                of = replace(inner.flag, panel=flag.panel, section=field.name, applies_to=flag.applies_to)
+                entries[name] = replace(inner, flag=of, holder=field.name)
             continue
         parts = get_args(kinds) if isinstance(kinds, UnionType) or get_origin(kinds) is Union else (kinds,)
         choices = next((get_args(part) for part in parts if get_origin(part) is Literal), ())
         values = get_args(kinds)[1:] if flag.by_part and get_origin(kinds) is Mapping else parts
         kind = "choice" if choices else next((name for of, name in _KINDS.items() if of in values), "other")
-        default = each.default if each.default is not MISSING else None
-        found[each.name] = Entry(
-            each.name, parts[0], kind, type(None) in parts, choices, default, flag, texts[each.name]
+        default = field.default if field.default is not MISSING else None
+        entries[field.name] = Entry(
+            field.name, parts[0], kind, type(None) in parts, choices, default, flag, texts[field.name]
         )
-    return found
+    return entries
 
 
 _KINDS: dict[Any, str] = {
@@ -144,8 +144,8 @@ def argument_texts(documented: object) -> dict[str, str]:
         documented: a record or a function.
     """
     part = re.search(r"^Args:\n(.*?)(?:^\w|\Z)", inspect.getdoc(documented) or "", re.MULTILINE | re.DOTALL)
-    found = re.findall(r"^    (\w+): (.*?)(?=^    \w|\Z)", part[1] if part else "", re.MULTILINE | re.DOTALL)
-    return {name: " ".join(text.split()) for name, text in found}
+    arguments = re.findall(r"^    (\w+): (.*?)(?=^    \w|\Z)", part[1] if part else "", re.MULTILINE | re.DOTALL)
+    return {name: " ".join(text.split()) for name, text in arguments}
 
 
 def require_fitting(record: Any) -> None:
@@ -175,9 +175,9 @@ def require_value(entry: Entry, value: object, name: str) -> None:
         InputError: the value does not fit.
     """
     if entry.flag.by_part and isinstance(value, Mapping) and all(isinstance(part, str) for part in value):
-        for part, each in value.items():
-            if isinstance(each, Mapping) or not _fits(entry, each):
-                raise InputError(f"{name} of {part} must be {_wanted(entry)}, not {each!r}.")
+        for part, number in value.items():
+            if isinstance(number, Mapping) or not _fits(entry, number):
+                raise InputError(f"{name} of {part} must be {_wanted(entry)}, not {number!r}.")
     elif not (value is None and entry.optional) and (_is_by_part_alone(entry) or not _fits(entry, value)):
         each_part = ", for each part by its name" if _is_by_part_alone(entry) else ""
         raise InputError(f"{name} must be {_wanted(entry)}{each_part}, not {value!r}.")

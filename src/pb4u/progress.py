@@ -111,20 +111,20 @@ class Estimate:
         again = self._each is not None
         if parts < _LEAST_PARTS or seconds < (_LEAST_SECONDS if self._alike and not again else _LEAST_SECONDS_OF_MANY):
             return
-        each = median(self._paces) if again else min(self._paces) if self._alike else seconds / parts
+        pace = median(self._paces) if again else min(self._paces) if self._alike else seconds / parts
         self._first, self._paces = (now, done), []
         # Cloth gets harder on the way, and what was said of its first steps is then too little.
-        if self._each is not None and each <= _SLOWER * self._each:
+        if self._each is not None and pace <= _SLOWER * self._each:
             return
-        self._each = each
-        left = each * (total - done)
+        self._each = pace
+        remaining = pace * (total - done)
         # What was said may have been too much before, and still hold.
-        whole = now - self._began + left
-        if left > _LONG and (not again or whole > self._said):
-            self._said = whole
+        duration = now - self._began + remaining
+        if remaining > _LONG and (not again or duration > self._said):
+            self._said = duration
             self._say(
                 f"{'Slower than at first: ' if again else ''}{total - done} more {self._part}s take about "
-                f"{format_duration(left)}, {each:.2g} s each."
+                f"{format_duration(remaining)}, {pace:.2g} s each."
             )
 
 

@@ -22,12 +22,12 @@ class Registry(MutableMapping[str, Entry]):
 
     Args:
         kind: what an entry is, as messages and `PROVIDERS` call it.
-        own: the layer's own entries.
+        entries: the layer's own entries.
     """
 
-    def __init__(self, kind: str, own: Mapping[str, Entry] | None = None) -> None:
+    def __init__(self, kind: str, entries: Mapping[str, Entry] | None = None) -> None:
         self.kind = kind
-        self._entries = dict(own or {})
+        self._entries = dict(entries or {})
 
     def named(self, name: str) -> Entry:
         """Entry that a user named.

@@ -46,12 +46,12 @@ STEPS, REFINEMENT, PASSES, NETWORK = "steps", "refinement", "passes", "network"
 """Parts of a model that options apply to: steps of time, solver iterations that can be limited, passes, a network."""
 
 
-def _model(metavar: str | None = None, **given: Any) -> Flag:
-    return Flag(MODEL, metavar, section="run", **given)
+def _model(metavar: str | None = None, **options: Any) -> Flag:
+    return Flag(MODEL, metavar, section="run", **options)
 
 
-def _trim(metavar: str, **given: Any) -> Flag:
-    return Flag(GARMENT, f"NAME.PART={metavar}", by_part=True, **given)
+def _trim(metavar: str, **options: Any) -> Flag:
+    return Flag(GARMENT, f"NAME.PART={metavar}", by_part=True, **options)
 
 
 def _by_part() -> Any:
@@ -270,12 +270,12 @@ class Run:
             raise InputError("A scene has at least one garment; none is given.")
         if len(self.garments) > MOST_GARMENTS:
             raise InputError(f"At most {MOST_GARMENTS} garments are worn over each other, not {len(self.garments)}.")
-        for number, worn in enumerate(self.garments):
-            if not isinstance(worn, WornGarment):
-                raise InputError(f"The garments of a run are WornGarment objects, not {worn!r}.")
-            if any(_is_same(worn.garment, inner.garment) for inner in self.garments[:number]):
+        for number, garment in enumerate(self.garments):
+            if not isinstance(garment, WornGarment):
+                raise InputError(f"The garments of a run are WornGarment objects, not {garment!r}.")
+            if any(_is_same(garment.garment, inner.garment) for inner in self.garments[:number]):
                 raise InputError(
-                    f"The garment {worn.name} is worn twice, and both would lie in the same place; garments of one "
+                    f"The garment {garment.name} is worn twice, and both would lie in the same place; garments of one "
                     "name must come from different files."
                 )
 
@@ -293,10 +293,8 @@ class Run:
     @property
     def files(self) -> tuple[object, ...]:
         """Everything that names what is read, be it a built-in name, a file or a loaded object."""
-        worn = [
-            value for each in self.garments for name in _files(WornGarment) for value in of_parts(getattr(each, name))
-        ]
-        return *worn, *(getattr(self, name) for name in _files(Run))
+        files = [value for g in self.garments for name in _files(WornGarment) for value in of_parts(getattr(g, name))]
+        return *files, *(getattr(self, name) for name in _files(Run))
 
     @property
     def options(self) -> Run:
@@ -317,11 +315,11 @@ class Run:
         if math.isclose(fps, self.fps):
             return replace(self, fps=fps)
         lead_in = None if self.lead_in is None else round(self.lead_in * fps / self.fps)
-        worn = tuple(
-            each if each.pins_until is None else replace(each, pins_until=round(each.pins_until * fps / self.fps))
-            for each in self.garments
+        garments = tuple(
+            g if g.pins_until is None else replace(g, pins_until=round(g.pins_until * fps / self.fps))
+            for g in self.garments
         )
-        run = replace(self, garments=worn, fps=fps, lead_in=lead_in)
+        run = replace(self, garments=garments, fps=fps, lead_in=lead_in)
         if self.written_frames is None:
             return run
         # All that is written, a kept lead-in included, is rounded up once.
@@ -329,7 +327,7 @@ class Run:
         return replace(run, frames=written - (run.led_frames if self.keep_lead_in else 0))
 
     def with_entries(self, given: Mapping[str, Any], folder: Path | None = None) -> Run:
-        """Run with other values, named as in a scene file but without its sections; they win as flags do.
+        """Copy of this run with some entries replaced, as flags replace those of a scene file.
 
         Args:
             given: value by name. `garment` is one, or a list, inner first, and replaces all garments with what belongs
@@ -343,16 +341,16 @@ class Run:
         """
         refuse_unknown("entry", given, ENTRIES)
         values = {name: located(name, value, folder) for name, value in given.items()}
-        worn: Sequence[WornGarment] = self.garments
+        garments: Sequence[WornGarment] = self.garments
         if "garment" in values:
-            named = values.pop("garment")
-            worn = [WornGarment(each) for each in (named if isinstance(named, list | tuple) else [named])]
+            names = values.pop("garment")
+            garments = [WornGarment(name) for name in (names if isinstance(names, list | tuple) else [names])]
         for name in entries("garments"):
             if name in values:
-                each_one = _one_each(name, values.pop(name), len(worn))
-                worn = [
-                    each if value is None else replace(each, **{name: value})
-                    for each, value in zip(worn, each_one, strict=True)
+                each_one = _one_each(name, values.pop(name), len(garments))
+                garments = [
+                    garment if value is None else replace(garment, **{name: value})
+                    for garment, value in zip(garments, each_one, strict=True)
                 ]
         bodiless = "body" in values and values["body"] in (None, NONE)
         of_bodies = [name for name, entry in described(Run).items() if entry.flag.panel in (BODY, RESEARCH)]
@@ -370,8 +368,8 @@ class Run:
         inner: dict[str, dict[str, Any]] = {}
         for name in [name for name in values if described(Run)[name].holder]:
             inner.setdefault(described(Run)[name].holder, {})[name] = values.pop(name)
-        changed = {holder: replace(getattr(self, holder), **given) for holder, given in inner.items()}
-        return replace(self, garments=tuple(worn), **{**replaced, **shape, **changed, **values})
+        changed = {holder: replace(getattr(self, holder), **values) for holder, values in inner.items()}
+        return replace(self, garments=tuple(garments), **{**replaced, **shape, **changed, **values})
 
     def simulate(self, path: str | Path | None = None, progress: Progress | None = None) -> Trajectory:
         """Trajectory of the run; see `pb4u.simulation.run_simulation.simulate`.
@@ -380,8 +378,8 @@ class Run:
             path: trajectory file to write as frames come; None keeps the frames in memory.
             progress: called with (frames done, frames in all); by default a bar where standard error is a terminal.
         """
-        made: Trajectory = resolve_name("pb4u.simulation.run_simulation:simulate")(self, path, progress)
-        return made
+        trajectory: Trajectory = resolve_name("pb4u.simulation.run_simulation:simulate")(self, path, progress)
+        return trajectory
 
     @staticmethod
     def open(path: str | Path) -> Run:
@@ -455,9 +453,9 @@ def located(name: str, value: Any, folder: Path | None) -> Any:
         folder: from which relative files are found; None leaves them as they are.
     """
     if isinstance(value, list | tuple):
-        return [located(name, each, folder) for each in value]
+        return [located(name, part, folder) for part in value]
     if isinstance(value, Mapping):
-        return {part: located(name, each, folder) for part, each in value.items()}
+        return {part: located(name, entry, folder) for part, entry in value.items()}
     return folder / value if folder is not None and isinstance(value, str) and names_file(name, value) else value
 
 
@@ -476,9 +474,9 @@ _OF_ARRAYS = {
 
 def _check(record: Run | WornGarment) -> None:
     """Refuse values of a wrong kind or out of range."""
-    for name, made in _OF_ARRAYS.items():
+    for name, maker in _OF_ARRAYS.items():
         if hasattr(getattr(record, name, None), "__array__"):
-            raise InputError(f"The {name} is an array; give a name, a path or {made}.")
+            raise InputError(f"The {name} is an array; give a name, a path or {maker}.")
     require_fitting(record)
 
 
@@ -498,7 +496,7 @@ def _checked_crop(crop: Any) -> tuple[int, int]:
 
 
 def _is_direction(value: Any) -> bool:
-    return isinstance(value, list | tuple) and len(value) == 3 and all(isinstance(each, Real) for each in value)
+    return isinstance(value, list | tuple) and len(value) == 3 and all(isinstance(number, Real) for number in value)
 
 
 def _checked_direction(grain: Any) -> tuple[float, float, float]:

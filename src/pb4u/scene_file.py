@@ -51,14 +51,14 @@ def read_scene(path: Path) -> Run:
     tables = read_tables(path, "a scene file")
     try:
         require_format(tables, ("garments", *SECTIONS), FORMAT_VERSION)
-        listed = tables.get("garments", [{}])
-        if not isinstance(listed, list):
+        garments = tables.get("garments", [{}])
+        if not isinstance(garments, list):
             raise InputError("Each garment is a section of its own, written [[garments]].")
-        worn = tuple(WornGarment(**_section("[[garments]]", each, "garments", path.parent)) for each in listed)
-        given = dict(OF_BEFORE)
+        records = tuple(WornGarment(**_section("[[garments]]", table, "garments", path.parent)) for table in garments)
+        values = dict(OF_BEFORE)
         for name in SECTIONS:
-            given |= _section(f"[{name}]", tables.get(name, {}), name, path.parent)
-        return Run(worn).with_entries(given)
+            values |= _section(f"[{name}]", tables.get(name, {}), name, path.parent)
+        return Run(records).with_entries(values)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -93,11 +93,11 @@ def write_scene(run: Run, path: Path) -> None:
 
     scene, *others = SECTIONS
     head = {"format_version": FORMAT_VERSION, scene: _written(run, scene, path.parent)}
-    worn = [_written(each, "garments", path.parent) for each in run.garments]
+    garment_tables = [_written(garment, "garments", path.parent) for garment in run.garments]
     # One by one: the library writes short tables of a list on a line each, where nobody finds room for an entry.
     sections = [
         tomli_w.dumps(head),
-        *map(_garment_section, worn),
+        *map(_garment_section, garment_tables),
         *(tomli_w.dumps({name: written}) for name in others if (written := _written(run, name, path.parent))),
     ]
     replace_file(path, (_HEADING + "\n".join(sections)).encode())
@@ -125,41 +125,41 @@ def require_format(tables: Mapping[str, Any], sections: Collection[str], version
         InputError: a section is unknown, or the version is another.
     """
     refuse_unknown("section", tables, ("format_version", *sections))
-    given = tables.get("format_version", version)
-    if given != version:
-        raise InputError(f"The file is of format version {given!r}; this version reads {version}.")
+    stored = tables.get("format_version", version)
+    if stored != version:
+        raise InputError(f"The file is of format version {stored!r}; this version reads {version}.")
 
 
-def require_entries(title: str, table: Any, known: Collection[str]) -> dict[str, Any]:
+def require_entries(title: str, table: Any, names: Collection[str]) -> dict[str, Any]:
     """The entries of a section.
 
     Args:
         title: of the section, such as "[scene]".
         table: its value.
-        known: entries that it may have.
+        names: entries that it may have.
 
     Raises:
         InputError: it is no table, or an entry is unknown.
     """
     if not isinstance(table, dict):
         raise InputError(f"The section {title} must hold entries such as name = value, not {table!r}.")
-    refuse_unknown("entry", table, known, title)
+    refuse_unknown("entry", table, names, title)
     return table
 
 
 def _section(title: str, table: Any, section: str, folder: Path) -> dict[str, Any]:
     """The entries of a section, its files found from the `folder` of the scene file."""
-    found = require_entries(title, table, entries(section))
-    return {name: located(name, value, folder) for name, value in found.items()}
+    values = require_entries(title, table, entries(section))
+    return {name: located(name, value, folder) for name, value in values.items()}
 
 
 def _written(record: Run | WornGarment, section: str, folder: Path) -> dict[str, Any]:
     """What is set of a section, as TOML holds it; of a record within the run, what is not as usual."""
     kind: type = type(record)
-    known = {name: described(kind)[name] for name in entries(section)}
+    fields = {name: described(kind)[name] for name in entries(section)}
     values = {
         name: NONE if (value := entry.value_in(record)) is None and entry.takes_none else value
-        for name, entry in known.items()
+        for name, entry in fields.items()
         if not entry.holder or entry.value_in(record) != entry.default
     }
     return {

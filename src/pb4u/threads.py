@@ -27,8 +27,8 @@ Result = TypeVar("Result")
 
 def thread_count() -> int:
     """Number of threads that searches may use: the processors of this process, or OMP_NUM_THREADS where it is less."""
-    wanted = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
-    return min(_processors(), int(wanted)) if wanted.isdecimal() and int(wanted) > 0 else _processors()
+    setting = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
+    return min(_processors(), int(setting)) if setting.isdecimal() and int(setting) > 0 else _processors()
 
 
 @cache
@@ -74,7 +74,7 @@ class _ProductsLimited:
         with self._lock:
             libraries = _controller("blas").lib_controllers
             if not self._inside:
-                self._before = [each.num_threads for each in libraries]
+                self._before = [library.num_threads for library in libraries]
                 self._set([1] * len(libraries))
             self._inside += 1
 

@@ -204,7 +204,7 @@ def test_a_pack_of_built_in_assets_can_be_trained_on(pb4u: Call, tmp_path: Path)
         (("pack.npz", "--json", "absent/r.json"), "does not exist"),
         (("pack.npz", "--set", "data.bodies=nobody"), "is none"),
         (("pack.npz", "--preset", "smoke", "--set", "data.motions=fly"), "no built-in motion 'fly'"),
-        (("pack.npz", "--preset", "smoke", "--recordings", "."), "none of the recordings of the catalogue"),
+        (("pack.npz", "--preset", "smoke", "--recordings", "."), "nor a CMU recording"),
     ],
 )
 def test_packs_that_cannot_be_made_are_refused(

@@ -8,7 +8,7 @@ import torch
 import trimesh
 from tests.physics.shapes import capsule, colliders, packed, sheet
 
-from pb4u.collision.rooms import Rooms
+from pb4u.collision.capacities import Capacities
 from pb4u.physics.contact.contact_set import ContactPlanes, nearest_planes
 from pb4u.scene.colliders import PackedColliders
 from pb4u.scene.packed import PackedGarments
@@ -37,24 +37,24 @@ def same(found: ContactPlanes, exact: ContactPlanes, rows: torch.Tensor) -> None
 def test_the_search_in_tensors_finds_what_the_compiled_one_finds(worlds: list[int]) -> None:
     garments, bodies, body, x = scene(worlds)
     exact = nearest_planes(bodies.pose(body), garments, x)
-    rooms = Rooms()
-    on_device = bodies.to(CPU, rooms)
+    capacities = Capacities()
+    on_device = bodies.to(CPU, capacities)
     found = nearest_planes(on_device.pose(body), garments, x)
     same(found, exact, exact.touchable)
     body_points = found.interpolated(body, bodies.contact_faces)
     torch.testing.assert_close(body_points[exact.touchable], exact.points[exact.touchable], rtol=0, atol=1e-8)
-    assert not rooms.grow(*rooms.taken())
+    assert not capacities.grow(*capacities.taken())
 
 
 def test_too_little_room_is_noticed_and_mended() -> None:
     garments, bodies, body, x = scene([0, 1])
-    rooms = Rooms()
-    rooms.sizes = {"groups of faces": 700, "faces": 900}
-    pose = bodies.to(CPU, rooms).pose(body)
+    capacities = Capacities()
+    capacities.sizes = {"groups of faces": 700, "faces": 900}
+    pose = bodies.to(CPU, capacities).pose(body)
     tries, short = 0, True
     while short:
         found, tries = nearest_planes(pose, garments, x), tries + 1
-        short = rooms.grow(*rooms.taken())
+        short = capacities.grow(*capacities.taken())
     assert tries in (2, 3)
     exact = nearest_planes(bodies.pose(body), garments, x)
     same(found, exact, exact.touchable)
@@ -65,7 +65,7 @@ def test_a_point_that_is_not_finite_spoils_no_other() -> None:
     exact = nearest_planes(bodies.pose(body), garments, x)
     spoilt = x.clone()
     spoilt[5], spoilt[7, 1] = torch.nan, torch.inf
-    found = nearest_planes(bodies.to(CPU, Rooms()).pose(body), garments, spoilt)
+    found = nearest_planes(bodies.to(CPU, Capacities()).pose(body), garments, spoilt)
     rows = exact.touchable.clone()
     rows[[5, 7]] = False
     torch.testing.assert_close(found.points[rows], exact.points[rows], rtol=0, atol=1e-8)

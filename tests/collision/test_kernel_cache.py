@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import sys
 
 import numba
 import pytest
@@ -29,7 +30,7 @@ def _outer(folder, monkeypatch, added=1, factor=10):
     for name in ("callee", "caller"):
         spec = importlib.util.spec_from_file_location(name, folder / f"{name}.py")
         module = importlib.util.module_from_spec(spec)
-        monkeypatch.setitem(__import__("sys").modules, name, module)
+        monkeypatch.setitem(sys.modules, name, module)
         spec.loader.exec_module(module)
     return module.outer
 
@@ -106,3 +107,24 @@ def test_what_stands_beside_an_intrinsic_is_part_of_the_name_of_its_callers(tmp_
     monkeypatch.setattr(f"{__name__}.INNER", made)
     assert _outer(tmp_path, monkeypatch)(1) == 10
     assert _outer(tmp_path, monkeypatch, added=100)(1) == 1000
+
+
+def test_a_renamed_type_of_an_argument_recompiles_its_kernel(tmp_path, monkeypatch):
+    pair = "from typing import NamedTuple\nclass Pair(NamedTuple):\n    first: int\n" + HEADER
+    pair += "@compiled\ndef inner(x: Pair):\n    return x.first + 1\nINPUT = Pair(1)\n"
+    monkeypatch.setattr(f"{__name__}.OUTER", "from callee import INPUT, inner as outer\n")
+    for name in ("Pair", "Couple"):
+        monkeypatch.setattr(f"{__name__}.INNER", pair.replace("Pair", name))
+        kernel = _outer(tmp_path, monkeypatch)
+        assert kernel(sys.modules["callee"].INPUT) == 2
+        assert _hits(kernel) == 0
+
+
+def test_damaged_code_is_compiled_again_and_written_over(tmp_path, monkeypatch):
+    _outer(tmp_path, monkeypatch)(1)
+    for index in kernel_folder().glob("*.nbi"):
+        index.write_bytes(index.read_bytes()[:-20])
+    assert _outer(tmp_path, monkeypatch)(1) == 20
+    again = _outer(tmp_path, monkeypatch)
+    assert again(1) == 20
+    assert _hits(again) == 1

@@ -18,7 +18,7 @@ from tests.network_scenes import accelerations, moment, sheet
 from tests.simulation.ball_scene import Ball, ball_scene
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from pb4u.collision.rooms import Rooms
+from pb4u.collision.capacities import Capacities
 from pb4u.errors import InputError
 from pb4u.garment.dressing import AttachedPlacement
 from pb4u.geometry.triangle_mesh import vertex_normals
@@ -74,9 +74,9 @@ def in_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def on_device(
-    model: AccelerationModel, steps: int, rooms: Rooms, replays: bool = False, device: str = "cpu"
+    model: AccelerationModel, steps: int, capacities: Capacities, replays: bool = False, device: str = "cpu"
 ) -> list[torch.Tensor]:
-    timeline = Timeline.of(ball_scene(frames=steps + 2, cells=7)).to(torch.device(device), rooms)
+    timeline = Timeline.of(ball_scene(frames=steps + 2, cells=7)).to(torch.device(device), capacities)
     states = states_after(timeline, method_of(model, timeline), Taken(timeline.skinned_state(1)), steps + 2, replays)
     return [state.positions for state in states]
 
@@ -98,7 +98,7 @@ def test_both_ways_lead_to_the_same_states(
     # From 1e-16 in the first step, rounding of sums in another order doubles or triples in each.
     model = from_pretrained("pb4u-wide").model.to(dtype)
     expected = on_host(model, steps)
-    found = on_device(model, steps, Rooms())
+    found = on_device(model, steps, Capacities())
     assert len(found) == steps
     assert float((expected[-1] - expected[0]).abs().max()) > 5e-3
     for one, other in zip(found, expected, strict=True):
@@ -114,7 +114,7 @@ def test_a_card_leads_to_the_same_states(
     take_torch_layers(monkeypatch)
     model = from_pretrained("pb4u-wide").model.to(dtype)
     expected = on_host(model, 12)
-    found = on_device(model.to("cuda"), 12, Rooms(), replays, "cuda")
+    found = on_device(model.to("cuda"), 12, Capacities(), replays, "cuda")
     assert len(found) == 12
     for one, other in zip(found, expected, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=near)
@@ -122,10 +122,10 @@ def test_a_card_leads_to_the_same_states(
 
 def test_a_step_with_too_little_room_is_taken_again(in_tensors: None) -> None:
     model = from_pretrained("pb4u-wide").model.double()
-    rooms = Rooms()
-    rooms.sizes = {"faces": 10, "world edges": 3, "body nodes": 2, "passes": 2}
-    found = on_device(model, 4, rooms)
-    assert rooms.sizes["faces"] > 100
+    capacities = Capacities()
+    capacities.sizes = {"faces": 10, "world edges": 3, "body nodes": 2, "passes": 2}
+    found = on_device(model, 4, capacities)
+    assert capacities.sizes["faces"] > 100
     for one, other in zip(found, on_host(model, 4), strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=1e-8)
 
@@ -160,7 +160,7 @@ def test_steps_are_replayed_where_their_shapes_stay(
     model = AccelerationModel(small.network()).double()
     monkeypatch.setattr("pb4u.simulation.step_graph.captured", noted)
     take_torch_layers(monkeypatch)
-    plain, replayed = (on_device(model, 7, Rooms(), replays) for replays in (False, True))
+    plain, replayed = (on_device(model, 7, Capacities(), replays) for replays in (False, True))
     for one, other in zip(plain, replayed, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=1e-12)
     # Of seven steps the first begins without a move, two more are plain, one is compared, three are replayed.
@@ -218,7 +218,7 @@ def test_a_scene_of_a_pack_is_the_scene_alone(
 
     def rolled(scenes: list[Scene]) -> list[torch.Tensor]:
         timeline, frames = Timeline.of_worlds(scenes), max(scene.total_frames for scene in scenes)
-        timeline = timeline.to(torch.device("cpu"), Rooms()) if fixed else timeline
+        timeline = timeline.to(torch.device("cpu"), Capacities()) if fixed else timeline
         method, taken = method_of(model, timeline), Taken(timeline.skinned_state(1))
         if fixed:
             return [state.positions for state in states_after(timeline, method, taken, frames)]
@@ -286,7 +286,7 @@ def test_garments_of_different_k_step_side_by_side() -> None:
     model = AccelerationModel(replace(NETWORKS["literal"], width=8, blocks=1).network()).double()
     at = moment([sheet(8, 8), sheet(6, 6, edge=0.02)])
     expected = accelerations(model, at, (4, 2))
-    bodies = at.collider.colliders.to(torch.device("cpu"), Rooms())
+    bodies = at.collider.colliders.to(torch.device("cpu"), Capacities())
     poses = (at.collider.previous, at.collider.now, at.collider.following)
     padded = replace(at, collider=type(at.collider)(*(bodies.pose(pose.positions) for pose in poses)))
     found = accelerations(model, padded, (4, 2))
@@ -318,7 +318,7 @@ def test_a_scene_that_a_card_has_no_room_for_is_refused_before_its_first_step(mo
     monkeypatch.setattr(NetworkSimulator, "on_card", True)
     monkeypatch.setattr("torch.cuda.mem_get_info", lambda device: (10**9, 10**11))
     timeline = simulator.timeline(scene)
-    assert timeline.colliders.rooms is not None
+    assert timeline.colliders.capacities is not None
     monkeypatch.setattr("torch.cuda.mem_get_info", lambda device: (5 * 10**5, 10**11))
     refused = r"has 0\.0 GB left, and the scene takes about .* garments of ([\d,]+) triangles in all would fit"
     with pytest.raises(InputError, match=refused) as error:

@@ -11,7 +11,7 @@ import torch
 from tests.training.ball_data import TINY, ball_data
 from tests.training.listening import ALONE, Listener
 
-from pb4u.collision.rooms import Rooms
+from pb4u.collision.capacities import Capacities
 from pb4u.errors import InputError
 from pb4u.paper.network_presets import pb4u_small_conjugate
 from pb4u.physics.contact.contact_set import ContactPlanes
@@ -37,7 +37,7 @@ def trainer_of(
 ) -> Trainer:
     trainer = Trainer(configuration, Budget(steps), ball_data((4, 5)), workers, None, Listener())
     if on_card:
-        trainer.rooms = trainer.loader.wardrobe.rooms = Rooms()
+        trainer.capacities = trainer.loader.wardrobe.capacities = Capacities()
     return trainer
 
 
@@ -104,13 +104,13 @@ def test_a_step_that_went_wrong_changes_no_weights(
     rollout = trainer.begin(1, 3)
     assert trainer.advance(rollout)
     assert trainer.look_at_outcomes()
-    assert trainer.rooms is not None
+    assert trainer.capacities is not None
     steps, kept, moments = trainer.counters.step, weights(trainer), trainer.learner.state()
     assert steps > 0
     if fault == "lost":
         rollout.watch.lost = torch.tensor(True)
     elif fault == "short of room":
-        trainer.rooms.sizes["faces"] = 5
+        trainer.capacities.sizes["faces"] = 5
     else:
         monkeypatch.setattr("pb4u.training.trainer.step_energies", _not_finite)
     assert trainer.advance(rollout)
@@ -121,7 +121,7 @@ def test_a_step_that_went_wrong_changes_no_weights(
     assert trainer.look_at_outcomes() == (fault != "not finite")
     assert trainer.counters.step == steps
     assert rollout.watch.seen_lost == (fault != "not finite")
-    assert trainer.rooms.sizes["faces"] > 5
+    assert trainer.capacities.sizes["faces"] > 5
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
@@ -147,7 +147,7 @@ def test_what_steps_gave_is_read_once_a_line_of_the_log(in_tensors: None, monkey
     taken: list[bool] = []
     learn = trainer.learn
     monkeypatch.setattr(trainer, "learn", lambda *given: taken.append(learn(*given)) or taken[-1])
-    while rollout.left:
+    while rollout.steps_left:
         assert trainer.advance(rollout)
     assert len(reads) == len(taken) // 3 >= 2
 

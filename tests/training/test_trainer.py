@@ -252,9 +252,9 @@ def test_interleaved_windows_take_turns_until_each_is_over(monkeypatch: pytest.M
     original = Trainer.advance
 
     def noted(self: Trainer, rollout: Rollout) -> bool:
-        seen.append((rollout.number, rollout.left))
+        seen.append((rollout.number, rollout.steps_left))
         if rollout.number == 1:
-            rollout.left = 1
+            rollout.steps_left = 1
         return original(self, rollout)
 
     monkeypatch.setattr(Trainer, "advance", noted)

@@ -21,27 +21,27 @@ Kept = TypeVar("Kept")
 
 
 def complete_parameters(
-    body: str, ranges: Mapping[str, tuple[float, float, float]], given: Mapping[str, float]
+    body: str, ranges: Mapping[str, tuple[float, float, float]], values: Mapping[str, float]
 ) -> dict[str, float]:
     """Value of every shape parameter by name, in the order of `ranges`.
 
     Args:
         body: name of the body, for messages.
         ranges: name -> (lowest, default, highest).
-        given: those that differ from the default.
+        values: those that differ from the default.
 
     Raises:
         InputError: a name is unknown or a value out of range.
     """
-    known = ", ".join(f"{key} ({low:g} to {high:g})" for key, (low, _, high) in list(ranges.items())[:12])
-    for key, value in given.items():
+    offered = ", ".join(f"{key} ({low:g} to {high:g})" for key, (low, _, high) in list(ranges.items())[:12])
+    for key, value in values.items():
         if key not in ranges:
-            offers = f"its shape parameters are {known}" if known else "it has no shape parameters"
+            offers = f"its shape parameters are {offered}" if offered else "it has no shape parameters"
             raise InputError(f'The body "{body}" has no shape parameter "{key}": {offers}.')
         low, _, high = ranges[key]
         if not low <= value <= high:
             raise InputError(f'Shape parameter "{key}" of body "{body}" is {value:g}; give {low:g} to {high:g}.')
-    return {key: float(given.get(key, default)) for key, (_, default, _) in ranges.items()}
+    return {key: float(values.get(key, default)) for key, (_, default, _) in ranges.items()}
 
 
 _FARTHEST = 1e4
@@ -116,17 +116,17 @@ class BodyModel(ABC):
             lift=float(lift[1]),
         )
 
-    def _refuse_metres(self, given: Mapping[str, float]) -> None:
+    def _refuse_metres(self, values: Mapping[str, float]) -> None:
         """Refuse a height in metres or centimetres where it is a share, and say which share that is."""
-        shares, height = self.shape_parameters.get("height"), given.get("height", 0.0)
+        shares, height = self.shape_parameters.get("height"), values.get("height", 0.0)
         metres = 0.01 * height if height > 100.0 else height
         if shares is None or metres <= shares[2] or metres > 3.0:
             return
-        heights = [self.shaped(**{**given, "height": share}).height for share in shares]
-        told = f"it is {heights[0]:.2f} to {heights[-1]:.2f} m tall"
+        heights = [self.shaped(**{**values, "height": share}).height for share in shares]
+        remedy = f"it is {heights[0]:.2f} to {heights[-1]:.2f} m tall"
         if heights[0] <= metres <= heights[-1]:
-            told = f"{metres:.2f} m is height={np.interp(metres, heights, shares):.2f}"
-        raise InputError(f'Shape parameter "height" of body "{self.name}" is a share, 0 to 1, not a length; {told}.')
+            remedy = f"{metres:.2f} m is height={np.interp(metres, heights, shares):.2f}"
+        raise InputError(f'Shape parameter "height" of body "{self.name}" is a share, 0 to 1, not a length; {remedy}.')
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,10 +164,10 @@ class ShapedBody:
     _kept: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def kept(self, name: str, make: Callable[[ShapedBody], Kept]) -> Kept:
-        """What `make` works out from this body, done once and kept as long as the body lives.
+        """Result of `make` on this body, computed once and cached with the body.
 
         Args:
-            name: of what is kept.
+            name: of the result in the cache.
             make: called with the body.
         """
         if name not in self._kept:

@@ -91,10 +91,10 @@ def human_bones(
         parents: index of each parent, -1 of a root.
         vrm: bone by VRM's name, where the file has them.
     """
-    found = _of_vrm(vrm) if vrm else _by_words(names, parents)
-    if any(joint not in found for joint in NEEDED):
+    bones = _of_vrm(vrm) if vrm else _by_words(names, parents)
+    if any(joint not in bones for joint in NEEDED):
         return None
-    up = [_ancestry(found[joint], parents) for joint in ("left_hip", "right_hip", "left_shoulder", "right_shoulder")]
+    up = [_ancestry(bones[joint], parents) for joint in ("left_hip", "right_hip", "left_shoulder", "right_shoulder")]
     hips = next((bone for bone in up[0][1:] if bone in up[1]), None)
     chest = next((bone for bone in up[2][1:] if bone in up[3]), None)
     if hips is None or chest is None:
@@ -103,13 +103,13 @@ def human_bones(
     spine = way[: way.index(hips)][::-1] if hips in way else []
     if not spine:
         return None
-    if len(spine) > 1 and spine[-1] == found.get("neck"):  # collar bones that hang on the neck, as Biped has them
+    if len(spine) > 1 and spine[-1] == bones.get("neck"):  # collar bones that hang on the neck, as Biped has them
         spine.pop()
-    above = _ancestry(found["head"], parents)[1:]
+    above = _ancestry(bones["head"], parents)[1:]
     neck = above[: above.index(spine[-1])][::-1] if spine[-1] in above else []
     if neck:
-        found.setdefault("neck", neck[0])
-    return HumanBones(found, hips, tuple(spine), tuple(neck))
+        bones.setdefault("neck", neck[0])
+    return HumanBones(bones, hips, tuple(spine), tuple(neck))
 
 
 def smpl_names(
@@ -125,11 +125,11 @@ def smpl_names(
     human = human_bones(names, parents, vrm)
     if human is None:
         return None
-    found, spine = {**human.joints, "pelvis": human.pelvis}, human.spine
+    bones, spine = {**human.joints, "pelvis": human.pelvis}, human.spine
     for joint, share in (("spine1", 0), ("spine2", len(spine) // 2), ("spine3", len(spine) - 1)):
-        found[joint] = spine[share]
+        bones[joint] = spine[share]
     # Of the same bone the later joint counts: a single bone from hips to shoulders is the chest.
-    return {bone: joint for joint, bone in found.items()}
+    return {bone: joint for joint, bone in bones.items()}
 
 
 def unknown_bones(names: Sequence[str], parents: Sequence[int]) -> str:
@@ -139,17 +139,17 @@ def unknown_bones(names: Sequence[str], parents: Sequence[int]) -> str:
         names: of the bones, parents before children.
         parents: index of each parent, -1 of a root.
     """
-    found = _by_words(names, parents)
+    bones = _by_words(names, parents)
     plain = {name.casefold() for name in names}
     nearest = max(SCHEMES, key=lambda scheme: sum(name.casefold() in plain for _, name in _named(scheme)))
-    own = {"head": "Head", **dict(_named(nearest))}
-    missing = {joint: own[joint] for joint in sorted(NEEDED, key=list(own).index) if joint not in found}
+    scheme = {"head": "Head", **dict(_named(nearest))}
+    missing = {joint: scheme[joint] for joint in sorted(NEEDED, key=list(scheme).index) if joint not in bones}
     if not missing:
         return "legs, trunk, arms and head do not hang together as a human's"
-    free = {bone: name for bone, name in enumerate(names) if bone not in found.values()}
+    free = {bone: name for bone, name in enumerate(names) if bone not in bones.values()}
     meant = []
     for joint, name in missing.items():
-        between = parents[found[_BELOW[joint]]] if _BELOW.get(joint) in found else -1
+        between = parents[bones[_BELOW[joint]]] if _BELOW.get(joint) in bones else -1
         near = get_close_matches(name, free.values(), 1, 0.5) or [free[bone] for bone in (between,) if bone in free]
         meant += [f'"{near[0]}" may be {name}'] if near else []
     return (
@@ -167,35 +167,35 @@ def _named(scheme: str) -> Iterator[tuple[str, str]]:
 
 
 def _of_vrm(vrm: Mapping[str, int]) -> dict[str, int]:
-    own = {joint: vrm[joint] for joint in _CENTRE if joint in vrm}
-    return own | {joint: vrm[name] for joint, name in _named("VRM") if name in vrm}
+    centre = {joint: vrm[joint] for joint in _CENTRE if joint in vrm}
+    return centre | {joint: vrm[name] for joint, name in _named("VRM") if name in vrm}
 
 
 def _by_words(names: Sequence[str], parents: Sequence[int]) -> dict[str, int]:
     parts = [_parts(name) for name in names]
     first = [part[0] for part in parts if part]
-    own = {word for word in set(first) if len(names) > len(NEEDED) and first.count(word) >= _MOST * len(names)}
-    keys_of = [_words([word for word in part if word not in own]) for part in parts]
+    common = {word for word in set(first) if len(names) > len(NEEDED) and first.count(word) >= _MOST * len(names)}
+    keys_of = [_words([word for word in part if word not in common]) for part in parts]
     read: dict[tuple[str, str], int] = {}
     for bone, key in enumerate(keys_of):
         if key is not None:
             read.setdefault(key, bone)
-    found = {joint: read["", joint] for joint in _CENTRE if ("", joint) in read}
+    bones = {joint: read["", joint] for joint in _CENTRE if ("", joint) in read}
     for joint, keys in _KEYS.items():
         chosen = next((read[key] for key in keys if key in read), None)
         if chosen is not None:
-            found[joint] = chosen
+            bones[joint] = chosen
     for side in ("left", "right"):
         # "Shoulder" is the collar bone of some and the upper arm of others, "foot" the ankle's bone or the toes'.
-        collar, upper, lower = (found.get(f"{side}_{joint}") for joint in ("collar", "shoulder", "elbow"))
+        collar, upper, lower = (bones.get(f"{side}_{joint}") for joint in ("collar", "shoulder", "elbow"))
         if upper is not None and upper == collar:
             way = _ancestry(lower, parents)[1:] if lower is not None else []
             between = way[: way.index(upper)] if upper in way else []
             other = any(keys_of[bone] not in (None, keys_of[upper]) for bone in between)
-            found.pop(f"{side}_shoulder" if other else f"{side}_collar")
-        if found.get(f"{side}_foot") == found.get(f"{side}_ankle"):
-            found.pop(f"{side}_foot", None)
-    return found
+            bones.pop(f"{side}_shoulder" if other else f"{side}_collar")
+        if bones.get(f"{side}_foot") == bones.get(f"{side}_ankle"):
+            bones.pop(f"{side}_foot", None)
+    return bones
 
 
 def _parts(name: str) -> list[str]:
@@ -232,8 +232,8 @@ def _keys() -> dict[str, list[tuple[str, str]]]:
     for joint, words in _WORDS.items():
         for side in ("left", "right"):
             keys[f"{side}_{joint}"] += [(side, word) for word in words]
-    called = [key for each in keys.values() for key in each]
-    return {joint: sorted(each, key=lambda key: called.count(key) > 1) for joint, each in keys.items()}
+    called = [key for pairs in keys.values() for key in pairs]
+    return {joint: sorted(pairs, key=lambda key: called.count(key) > 1) for joint, pairs in keys.items()}
 
 
 _KEYS = _keys()

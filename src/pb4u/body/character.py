@@ -125,9 +125,9 @@ class PosedCharacter(PosedBody):
 
     @cached_property
     def joints(self) -> np.ndarray:
-        moved = self.transforms.double().numpy()
+        transforms = self.transforms.double().numpy()
         rest = self.body.skeleton.joints
-        places: np.ndarray = np.einsum("fbij,bj->fbi", moved[..., :3], rest) + moved[..., 3]
+        places: np.ndarray = np.einsum("fbij,bj->fbi", transforms[..., :3], rest) + transforms[..., 3]
         return places
 
     def positions(self, start: int, stop: int) -> Tensor:
@@ -138,8 +138,8 @@ class PosedCharacter(PosedBody):
             offsets = torch.zeros(last - first, *self.rest_vertices.shape)
             for morph in self.character.rig.morphs:
                 weights = self.node_poses.weights[morph.node][first:last] - morph.rest
-                moved = torch.from_numpy(np.einsum("fk,kvc->fvc", weights, morph.offsets)).float()
-                offsets[:, morph.vertices] += moved
+                shift = torch.from_numpy(np.einsum("fk,kvc->fvc", weights, morph.offsets)).float()
+                offsets[:, morph.vertices] += shift
             if offsets.any():
                 result[first - start : last - start] += self._surface.turned(offsets, self.transforms[first:last])
         return result

@@ -35,17 +35,17 @@ def node_tree(file: GltfFile) -> NodeTree:
         scales[node] = entry.get("scale", (1.0, 1.0, 1.0))
         turn = from_xyzw(np.array(entry.get("rotation", (0.0, 0.0, 0.0, 1.0)), dtype=np.float64))
         rotations[node] = turn / np.linalg.norm(turn)
-    if not all((np.abs(each) < 1e7).all() for each in (translations, rotations, scales)):
+    if not all((np.abs(values) < 1e7).all() for values in (translations, rotations, scales)):
         raise ValueError("a node's place is no finite number")
     weights = {}
     for node, entry in enumerate(entries):
         if "mesh" in entry:
             mesh = file.entries("meshes")[entry["mesh"]]
-            targets = max((len(each.get("targets", ())) for each in mesh["primitives"]), default=0)
-            given = entry.get("weights", mesh.get("weights", [0.0] * targets))
-            if len(given) != targets:
-                raise ValueError(f"node {node} has {len(given)} weights for {targets} morph targets")
-            weights[node] = np.array(given, dtype=np.float64).reshape(1, targets)
+            targets = max((len(primitive.get("targets", ())) for primitive in mesh["primitives"]), default=0)
+            values = entry.get("weights", mesh.get("weights", [0.0] * targets))
+            if len(values) != targets:
+                raise ValueError(f"node {node} has {len(values)} weights for {targets} morph targets")
+            weights[node] = np.array(values, dtype=np.float64).reshape(1, targets)
     poses = NodePoses(translations[None], rotations[None], scales[None], weights)
     return NodeTree(tuple(str(e.get("name", "")) for e in entries), parents, order, poses, np.eye(4))
 
@@ -59,25 +59,25 @@ def clip_names(file: GltfFile) -> list[str]:
     return [str(entry.get("name") or f"clip {k}") for k, entry in enumerate(file.entries("animations"))]
 
 
-def read_clip(file: GltfFile, tree: NodeTree, wanted: str | None) -> Clip | None:
+def read_clip(file: GltfFile, tree: NodeTree, name: str | None) -> Clip | None:
     """An animation; None where the file has none and none is named.
 
     Args:
         file: a glTF file.
         tree: its nodes.
-        wanted: name of the animation; the first where left out.
+        name: name of the animation; the first where left out.
 
     Raises:
         InputError: the file has no animation of that name.
         ValueError: its key frames do not rise, are not finite, or belong to no node.
     """
     entries, names = file.entries("animations"), clip_names(file)
-    if wanted is not None and wanted not in names:
-        held = f"it has {names_text(names)}" if names else "it has none"
-        raise InputError(f'{file.path} has no clip "{wanted}"; {held}.')
+    if name is not None and name not in names:
+        clips = f"it has {names_text(names)}" if names else "it has none"
+        raise InputError(f'{file.path} has no clip "{name}"; {clips}.')
     if not entries:
         return None
-    index = 0 if wanted is None else names.index(wanted)
+    index = 0 if name is None else names.index(name)
     channels = []
     entry = entries[index]
     for channel in entry["channels"]:

@@ -34,9 +34,9 @@ def bind_spaces(
     depth = {node: k for k, node in enumerate(tree.order)}
     for skin in sorted(nodes, key=lambda skin: min(depth[node] for node in nodes[skin])):
         joints, inverse = nodes[skin], inverses[skin]
-        known = next((k for k, node in enumerate(joints) if node in binds), None)
-        if known is not None:
-            place = binds[joints[known]] @ inverse[known]
+        bound = next((k for k, node in enumerate(joints) if node in binds), None)
+        if bound is not None:
+            place = binds[joints[bound]] @ inverse[bound]
         else:
             now = still[joints] @ inverse
             first = min(range(len(joints)), key=lambda k: depth[joints[k]])
@@ -99,24 +99,24 @@ def ordered_bones(file: GltfFile, tree: NodeTree, bones: list[int]) -> tuple[np.
         parents.append(-1 if up < 0 else place[up])
     vrm = _vrm_bones(file)
     ranks = {name: place[node] for name, node in vrm.items() if node in place} if vrm else None
-    known = smpl_names([tree.names[bones[b]] for b in by_depth], parents, ranks)
-    hips = next((k for k, joint in (known or {}).items() if joint == "pelvis"), 0)
+    joint_of_bone = smpl_names([tree.names[bones[b]] for b in by_depth], parents, ranks)
+    hips = next((k for k, joint in (joint_of_bone or {}).items() if joint == "pelvis"), 0)
     # What lies above the hips goes with them: the skeleton of a human begins there.
-    moved = [hips, *(k for k in range(len(by_depth)) if k != hips)]
-    new = {old: k for k, old in enumerate(moved)}
+    rows = [hips, *(k for k in range(len(by_depth)) if k != hips)]
+    new = {old: k for k, old in enumerate(rows)}
     above, up = set(), parents[hips]
     while up >= 0:
         above.add(up)
         up = parents[up]
     names, seen = [], set()
-    for old in moved:
-        name = (known or {}).get(old) or tree.names[bones[by_depth[old]]] or f"bone {old}"
-        while name in seen or (known and name in known.values() and old not in known):
+    for old in rows:
+        name = (joint_of_bone or {}).get(old) or tree.names[bones[by_depth[old]]] or f"bone {old}"
+        while name in seen or (joint_of_bone and name in joint_of_bone.values() and old not in joint_of_bone):
             name += "'"
         seen.add(name)
         names.append(name)
-    parted_from = [-1 if old == hips else 0 if old in above or parents[old] < 0 else new[parents[old]] for old in moved]
-    order = np.array([by_depth[old] for old in moved])
+    parted_from = [-1 if old == hips else 0 if old in above or parents[old] < 0 else new[parents[old]] for old in rows]
+    order = np.array([by_depth[old] for old in rows])
     # Parents of what was above the hips come first already; of all others too, since the old order had them so.
     return order, names, parted_from
 
@@ -126,8 +126,8 @@ def _vrm_bones(file: GltfFile) -> dict[str, int]:
     extensions = file.document.get("extensions", {})
     old = extensions.get("VRM", {}).get("humanoid", {}).get("humanBones", [])
     new = extensions.get("VRMC_vrm", {}).get("humanoid", {}).get("humanBones", {})
-    listed = {str(each["bone"]): int(each["node"]) for each in old} if isinstance(old, list) else {}
-    return listed | {str(name): int(each["node"]) for name, each in new.items()}
+    of_vrm_0 = {str(bone["bone"]): int(bone["node"]) for bone in old} if isinstance(old, list) else {}
+    return of_vrm_0 | {str(name): int(bone["node"]) for name, bone in new.items()}
 
 
 def completed_bones(

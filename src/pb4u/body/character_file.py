@@ -131,26 +131,26 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None, 
     bones, matrices, bone_of = merged_bones(path, nodes, inverses, places)
     surface = _joined(chosen, places, nodes, bone_of)
     order, names, parents = ordered_bones(file, tree, bones)
-    left = others
+    rest = others
     if parts is None:
         chosen, covers = _skin_alone(chosen, skin_vertices(surface, _limbs(names, parents)[np.argsort(order)]))
-        surface, left = _joined(chosen, places, nodes, bone_of), [*others, *covers]
-    left = [*left, *(title for title in _unskinned(file) if title not in left)]
+        surface, rest = _joined(chosen, places, nodes, bone_of), [*others, *covers]
+    rest = [*rest, *(title for title in _unskinned(file) if title not in rest)]
     rank = np.argsort(order)
     binds = np.stack(matrices)[order]
     ranked = np.array(bones)[order]
     surface = surface.renumbered(rank)
     world, names, more = _world(path, surface.vertices, names, binds, units)
     taken = f"{path.name}: the body is {', '.join(dict.fromkeys(part.title for part in chosen))}"
-    notes = [f"{taken}; left out of the body: {', '.join(left)}; --body-parts chooses." if left else f"{taken}.", *more]
+    notes = [f"{taken}; left out of the body: {', '.join(rest)}; --body-parts chooses." if rest else f"{taken}.", *more]
     surface, welded = surface.moved(world).welded()
     surface, holes = surface.turned_outward().closed()
     if holes:
-        told = f"{len(holes)} hole(s) of the surface, the largest {100 * max(holes):.0f} cm across, are closed"
-        notes.append(f"{path.name}: {told}, so that inside has a meaning.")
-        worn = [title for title in others if not re.search(_HEAD, title, re.IGNORECASE)]
-        if worn and max(holes) > _WIDE * float(np.ptp(surface.vertices[:, 1])):
-            every = dict.fromkeys([*(part.title for part in chosen), *worn])
+        sentence = f"{len(holes)} hole(s) of the surface, the largest {100 * max(holes):.0f} cm across, are closed"
+        notes.append(f"{path.name}: {sentence}, so that inside has a meaning.")
+        outer = [title for title in others if not re.search(_HEAD, title, re.IGNORECASE)]
+        if outer and max(holes) > _WIDE * float(np.ptp(surface.vertices[:, 1])):
+            every = dict.fromkeys([*(part.title for part in chosen), *outer])
             warn(
                 f"{path.name}: its skin has a hole of {100 * max(holes):.0f} cm, as where it is cut away under "
                 f"clothes, and other cloth falls in there; give what covers it as well: --body-parts {','.join(every)}."
@@ -222,19 +222,19 @@ def _unskinned(file: GltfFile) -> list[str]:
 
 def _skin_alone(parts: list[_Part], skin: np.ndarray) -> tuple[list[_Part], list[str]]:
     """The parts without what is no skin, and titles of that; `skin` (vertices,) bool is of all parts."""
-    kept, left = list[_Part](), list[str]()
+    skins, omitted = list[_Part](), list[str]()
     starts = offsets([part.vertices for part in parts])
-    own = [skin[start : start + len(part.vertices)] for start, part in zip(starts, parts, strict=False)]
-    titles = [part.title for part, mask in zip(parts, own, strict=True) if mask.any()]
-    for part, mask in zip(parts, own, strict=True):
-        named = part.title if part.title not in titles else next(filter(None, part.names), part.title)
+    masks = [skin[start : start + len(part.vertices)] for start, part in zip(starts, parts, strict=False)]
+    titles = [part.title for part, mask in zip(parts, masks, strict=True) if mask.any()]
+    for part, mask in zip(parts, masks, strict=True):
+        title = part.title if part.title not in titles else next(filter(None, part.names), part.title)
         if not mask.any():
-            left.append(named)
+            omitted.append(title)
             continue
-        kept.append(part.only(mask))
-        if lost := len(part.faces) - len(kept[-1].faces):
-            left.append(f"{lost:,} faces of {named} that are no skin")
-    return kept, list(dict.fromkeys(left))
+        skins.append(part.only(mask))
+        if lost := len(part.faces) - len(skins[-1].faces):
+            omitted.append(f"{lost:,} faces of {title} that are no skin")
+    return skins, list(dict.fromkeys(omitted))
 
 
 def _joined(
@@ -265,14 +265,14 @@ def _morphs(parts: list[_Part], places: Mapping[int, np.ndarray], world: np.ndar
         if np.any(part.targets):
             rows = welded[row : row + len(part.vertices)]
             # A vertex that several of the file's have become is moved once, by the first of them.
-            kept = np.unique(rows, return_index=True)[1]
-            morphs.append(Morph(part.node, rows[kept], part.targets[:, kept] @ at.T, part.morphed))
+            first = np.unique(rows, return_index=True)[1]
+            morphs.append(Morph(part.node, rows[first], part.targets[:, first] @ at.T, part.morphed))
         row += len(part.vertices)
     return morphs
 
 
 def _parts(file: GltfFile) -> list[_Part]:
-    found = []
+    parts = []
     for node, entry in enumerate(file.entries("nodes")):
         if "mesh" not in entry or "skin" not in entry:
             continue
@@ -303,30 +303,30 @@ def _parts(file: GltfFile) -> list[_Part]:
             ]
             material = file.entries("materials")[primitive["material"]] if "material" in primitive else {}
             names = (entry.get("name", ""), mesh.get("name", ""), material.get("name", ""))
-            own = np.resize(morphed, len(targets)) if len(morphed) else np.zeros(len(targets))
-            moved = np.array(targets, dtype=np.float64).reshape(len(targets), len(vertices), 3)
-            if not np.isfinite(moved).all():
+            start_weights = np.resize(morphed, len(targets)) if len(morphed) else np.zeros(len(targets))
+            deltas = np.array(targets, dtype=np.float64).reshape(len(targets), len(vertices), 3)
+            if not np.isfinite(deltas).all():
                 raise ValueError("a morph target is not finite")
-            part = (names, node, entry["skin"], vertices, faces, joints, weights, moved, own)
-            found.append(_Part(*part))
-    return found
+            part = (names, node, entry["skin"], vertices, faces, joints, weights, deltas, start_weights)
+            parts.append(_Part(*part))
+    return parts
 
 
-def _chosen(path: Path, parts: list[_Part], wanted: Collection[str] | None) -> tuple[list[_Part], list[str]]:
+def _chosen(path: Path, parts: list[_Part], names: Collection[str] | None) -> tuple[list[_Part], list[str]]:
     """The parts that make the body, and titles of the others."""
     if not parts:
         raise InputError(
             f"{path} has no skin: no mesh in it hangs on bones; give a mesh that stands still as .obj, and one that "
             "moves by itself as a sequence of vertices."
         )
-    if wanted is None:
+    if names is None:
         chosen = [part for part in parts if part.is_skin]
     else:
-        known = {name for part in parts for name in part.names if name}
-        for name in wanted:
-            if name not in known:
-                raise InputError(f'{path} has no mesh or material "{name}"; it has {names_text(known)}.')
-        chosen = [part for part in parts if set(wanted) & set(part.names)]
+        offered = {name for part in parts for name in part.names if name}
+        for name in names:
+            if name not in offered:
+                raise InputError(f'{path} has no mesh or material "{name}"; it has {names_text(offered)}.')
+        chosen = [part for part in parts if set(names) & set(part.names)]
     titles = list(dict.fromkeys(part.title for part in parts))
     if not chosen:
         raise InputError(
@@ -334,8 +334,8 @@ def _chosen(path: Path, parts: list[_Part], wanted: Collection[str] | None) -> t
         )
     if sum(len(part.faces) for part in chosen) > _MOST_TRIANGLES:
         raise InputError(f"{path} has over {_MOST_TRIANGLES:,} triangles; decimate it in the program it comes from.")
-    kept = {part.title for part in chosen}
-    return chosen, [title for title in titles if title not in kept]
+    chosen_titles = {part.title for part in chosen}
+    return chosen, [title for title in titles if title not in chosen_titles]
 
 
 def _world(
@@ -358,7 +358,7 @@ def _world(
         )
         left, up = hips[0] - hips[1], head - pelvis
         up = up - left * (up @ left) / (left @ left)
-        axes = np.stack([each / np.linalg.norm(each) for each in (left, up, np.cross(left, up))])
+        axes = np.stack([axis / np.linalg.norm(axis) for axis in (left, up, np.cross(left, up))])
         turn = nearest_axes(axes)
         standing = (vertices - ankle) @ turn.T
         if standing[standing[:, 1] < 0.0, 2].sum() < 0.0:
@@ -371,7 +371,7 @@ def _world(
             notes.append(f"{path.name}: turned {upright}to face +Z, by its hips, head and feet.")
     world = np.eye(4)
     world[:3, :3] = UNITS[unit] * turn
-    moved = vertices @ world[:3, :3].T
-    middle = world[:3, :3] @ places[0] if "pelvis" in names else 0.5 * (moved.min(axis=0) + moved.max(axis=0))
-    world[:3, 3] = -np.array([middle[0], moved[:, 1].min(), middle[2]])
+    turned = vertices @ world[:3, :3].T
+    middle = world[:3, :3] @ places[0] if "pelvis" in names else 0.5 * (turned.min(axis=0) + turned.max(axis=0))
+    world[:3, 3] = -np.array([middle[0], turned[:, 1].min(), middle[2]])
     return world, names, notes

@@ -56,14 +56,14 @@ class CharacterSurface:
         apart = np.abs(self._dense(pairs[:, 0]) - self._dense(pairs[:, 1])).max(axis=1, initial=0.0)
         pairs = pairs[apart < _SAME_WEIGHT]
         number = connected_labels(len(self.vertices), pairs[:, 0], pairs[:, 1])
-        _, kept, number = np.unique(number, return_index=True, return_inverse=True)
+        _, first, number = np.unique(number, return_index=True, return_inverse=True)
         number = number.reshape(-1)
         faces = number[self.faces]
         faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
         # One triangle counts once, whichever way round.
         _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
         faces = faces[np.sort(once)]
-        return CharacterSurface(self.vertices[kept], faces, self.bones[kept], self.weights[kept]), number
+        return CharacterSurface(self.vertices[first], faces, self.bones[first], self.weights[first]), number
 
     def _dense(self, rows: np.ndarray) -> np.ndarray:
         """Weights (rows, bones) of some vertices by bone."""
@@ -95,10 +95,10 @@ class CharacterSurface:
             mean = self._dense(loop).mean(axis=0)
             strongest = np.argsort(-mean, kind="stable")[:width]
             bones.append(np.pad(strongest, (0, width - len(strongest)))[None])
-            kept = np.pad(mean[strongest], (0, width - len(strongest)))
-            weights.append((kept / kept.sum())[None])
+            shares = np.pad(mean[strongest], (0, width - len(strongest)))
+            weights.append((shares / shares.sum())[None])
             sizes.append(float(np.linalg.norm(np.ptp(self.vertices[loop], axis=0))))
-        return CharacterSurface(*(np.concatenate(each) for each in (vertices, faces, bones, weights))), sizes
+        return CharacterSurface(*(np.concatenate(rows) for rows in (vertices, faces, bones, weights))), sizes
 
 
 def _hole_cycles(faces: np.ndarray) -> list[np.ndarray]:

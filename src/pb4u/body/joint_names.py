@@ -47,12 +47,12 @@ def plain_name(bone: str) -> str:
     Args:
         bone: its name in Anny or in the SMPL family.
     """
-    named = re.fullmatch(r"(?:(left|right)_)?([a-z]+)[\d-]*(?:\.([LR]))?", bone)
-    if named is None:
+    match = re.fullmatch(r"(?:(left|right)_)?([a-z]+)[\d-]*(?:\.([LR]))?", bone)
+    if match is None:
         return bone
-    words = {**_PLAIN, **_PLAIN_SMPL} if named[1] else _PLAIN
-    side = named[1] or {"L": "left", "R": "right", None: ""}[named[3]]
-    return f"{side} {words[named[2]]}".strip() if named[2] in words else bone
+    words = {**_PLAIN, **_PLAIN_SMPL} if match[1] else _PLAIN
+    side = match[1] or {"L": "left", "R": "right", None: ""}[match[3]]
+    return f"{side} {words[match[2]]}".strip() if match[2] in words else bone
 
 
 def plain_names(bones: Iterable[str], most: int = 4) -> str:
@@ -62,7 +62,7 @@ def plain_names(bones: Iterable[str], most: int = 4) -> str:
         bones: their names.
         most: how many are named; of more, how many there are.
     """
-    told = [f"the {name}" for name in dict.fromkeys(map(plain_name, bones))]
-    if len(told) > most:
-        told[most:] = [f"{len(told) - most} more"]
-    return " and ".join(filter(None, [", ".join(told[:-1]), told[-1]]))
+    parts = [f"the {name}" for name in dict.fromkeys(map(plain_name, bones))]
+    if len(parts) > most:
+        parts[most:] = [f"{len(parts) - most} more"]
+    return " and ".join(filter(None, [", ".join(parts[:-1]), parts[-1]]))

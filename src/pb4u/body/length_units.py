@@ -22,7 +22,7 @@ _GIVEN = (0.05, 20.0)
 _CLOTH, _ANY_CLOTH = (0.3, 1.8), (0.05, 5.0)
 
 
-def body_unit(file: object, extent: float, given: str | None = None) -> tuple[str, str | None]:
+def body_unit(file: object, extent: float, unit: str | None = None) -> tuple[str, str | None]:
     """The unit of a body's file, and what is to be told of it where it is not the metre.
 
     A grown-up in one of the units is taken for that. Else what can be a person or a figure in metres is in metres, and
@@ -31,34 +31,34 @@ def body_unit(file: object, extent: float, given: str | None = None) -> tuple[st
     Args:
         file: of the body, for the sentences.
         extent: largest of the body along an axis, in the unit of the file.
-        given: unit that the user names.
+        unit: unit that the user names.
 
     Raises:
         InputError: the unit given is unknown or makes no figure, or none or several make a person.
     """
     shown = f"{extent:.3g}" if extent < 1000.0 else f"{extent:.0f}"
-    if given is not None:
-        if given not in UNITS:
-            raise unknown_name("unit of length", given, UNITS)
-        if not _GIVEN[0] <= extent * UNITS[given] <= _GIVEN[1]:
-            raise InputError(f"{file} measures {shown} {given}, and no figure that wears clothes does; give its unit.")
-        return given, None
+    if unit is not None:
+        if unit not in UNITS:
+            raise unknown_name("unit of length", unit, UNITS)
+        if not _GIVEN[0] <= extent * UNITS[unit] <= _GIVEN[1]:
+            raise InputError(f"{file} measures {shown} {unit}, and no figure that wears clothes does; give its unit.")
+        return unit, None
     grown, people = (
         [unit for unit, length in UNITS.items() if low <= extent * length <= high] for low, high in (_GROWN, _PERSON)
     )
     if _FIGURE[0] <= extent <= _FIGURE[1]:
         people = grown = ["metres"]
-    found = grown or people
-    if len(found) != 1:
-        likely = f"a person in {' or in '.join(found)}" if found else "no person in any unit that is known"
+    units = grown or people
+    if len(units) != 1:
+        likely = f"a person in {' or in '.join(units)}" if units else "no person in any unit that is known"
         raise InputError(
             f"{file}: the body measures {shown} in its own unit, {likely}; say which with --body-units (in Python "
             f"units=), one of {', '.join(UNITS)}, or scale it to metres."
         )
-    if found == ["metres"]:
+    if units == ["metres"]:
         return "metres", None
-    return found[0], (
-        f"it measures {shown}, so it is taken to be in {found[0]}, {extent * UNITS[found[0]]:.2f} m; --body-units says "
+    return units[0], (
+        f"it measures {shown}, so it is taken to be in {units[0]}, {extent * UNITS[units[0]]:.2f} m; --body-units says "
         "otherwise."
     )
 

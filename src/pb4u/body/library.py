@@ -80,11 +80,11 @@ def load_body(
     Raises:
         InputError: the name is unknown, the file cannot be used, or a shape parameter does not fit.
     """
-    given = dict(shape or {})
+    values = dict(shape or {})
     name = str(name_or_path)
     if Path(name).suffix.lower() in GLTF_SUFFIXES and Path(name).is_file():
-        if given:
-            raise InputError(f"{name} is a character without shape parameters; leave out {', '.join(given)}.")
+        if values:
+            raise InputError(f"{name} is a character without shape parameters; leave out {', '.join(values)}.")
         return read_character(Path(name), clip, parts, units)
     if clip is not None or parts is not None:
         option = "clip" if clip is not None else "body-parts"
@@ -92,14 +92,14 @@ def load_body(
     if units is not None and (name in BUILT_IN or name in _MODELS):
         raise InputError(f"{name} is in metres; leave out --body-units.")
     if name in BUILT_IN:
-        return _built_in(name, tuple(sorted(given.items())))
+        return _built_in(name, tuple(sorted(values.items())))
     body: BodyModel | VertexSequence = (
         resolve_name(_MODELS[name])() if name in _MODELS else _read(Path(name_or_path), units)
     )
     if isinstance(body, BodyModel):
-        return body.shaped(**given)
-    if given:
-        raise InputError(f"{name} is a moving surface without shape parameters; leave out {', '.join(given)}.")
+        return body.shaped(**values)
+    if values:
+        raise InputError(f"{name} is a moving surface without shape parameters; leave out {', '.join(values)}.")
     return body
 
 
@@ -147,7 +147,7 @@ def _built_in(name: str, shape: tuple[tuple[str, float], ...]) -> ShapedBody:
 
 
 def _read(path: Path, units: str | None) -> BodyModel | VertexSequence:
-    suffix, names = path.suffix.lower(), (*BUILT_IN, *(each for each in _MODELS if find_spec(each) is not None))
+    suffix, names = path.suffix.lower(), (*BUILT_IN, *(model for model in _MODELS if find_spec(model) is not None))
     if suffix and suffix not in file_suffixes() and not path.is_dir():
         raise unread_kind(path, "body", file_suffixes())
     if not path.exists():

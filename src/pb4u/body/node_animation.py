@@ -158,7 +158,7 @@ class NodeTree:
         parts = {
             path: np.repeat(getattr(still, path), frames, axis=0) for path in ("translations", "rotations", "scales")
         }
-        weights = {node: np.repeat(given, frames, axis=0) for node, given in still.weights.items()}
+        weights = {node: np.repeat(values, frames, axis=0) for node, values in still.weights.items()}
         for channel in clip.channels if clip else ():
             values = channel.at(np.asarray(times, dtype=np.float64) + (clip.start if clip else 0.0))
             if channel.path != "weights":

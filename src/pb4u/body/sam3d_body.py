@@ -51,19 +51,19 @@ def read_sam3d_body(path: Path) -> VertexSequence:
     faces: np.ndarray | None = None
     fps = DEFAULT_FPS
     for file in files:
-        held = read_arrays(file, (VERTICES, _PLACE, _RATE, *_FACES))
-        if VERTICES not in held or held[VERTICES].dtype.kind != "f" or held[VERTICES].shape[-1:] != (3,):
+        arrays = read_arrays(file, (VERTICES, _PLACE, _RATE, *_FACES))
+        if VERTICES not in arrays or arrays[VERTICES].dtype.kind != "f" or arrays[VERTICES].shape[-1:] != (3,):
             raise InputError(f'{file} has no "{VERTICES}" (vertices, 3) as SAM 3D Body writes them.')
-        vertices = held[VERTICES].astype(np.float32)
+        vertices = arrays[VERTICES].astype(np.float32)
         vertices = vertices.reshape(-1, *vertices.shape[-2:])
-        place = held.get(_PLACE, np.zeros(3)).astype(np.float32)
+        place = arrays.get(_PLACE, np.zeros(3)).astype(np.float32)
         if frames and vertices.shape[1] != frames[0].shape[1]:
             raise InputError(f"{file} has {vertices.shape[1]} vertices and {files[0].name} {frames[0].shape[1]}.")
         with refusing(file, f'has a "{_PLACE}" that does not fit its frames'):
             frames.append((vertices + place.reshape(-1, 1, 3)) * _UPRIGHT)
-        faces = next((held[name] for name in _FACES if name in held), faces)
+        faces = next((arrays[name] for name in _FACES if name in arrays), faces)
         with refusing(file, f'has an "{_RATE}" that is no number'):
-            fps = float(held[_RATE].item()) if _RATE in held else fps
+            fps = float(arrays[_RATE].item()) if _RATE in arrays else fps
     vertices = np.concatenate(frames)
     faces = _faces_beside(path, vertices.shape[1]) if faces is None else faces
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
@@ -85,7 +85,7 @@ def _faces_beside(path: Path, count: int) -> np.ndarray:
     folder = path if path.is_dir() else path.parent
     if (folder / "faces.npy").is_file():
         return np.asarray(np.load(folder / "faces.npy", allow_pickle=False))
-    for mesh in sorted(each for each in folder.iterdir() if each.suffix.lower() in _MESHES):
+    for mesh in sorted(entry for entry in folder.iterdir() if entry.suffix.lower() in _MESHES):
         vertices, faces = surface_of(mesh)
         if len(vertices) == count:
             return faces

@@ -155,7 +155,7 @@ def warn_of_gaps(folder: Path, files: Sequence[Path]) -> None:
     words = [by_number(file) for file in files]
     varying = [column for column in zip(*words, strict=False) if len(set(column)) > 1]
     # Names without a number of their own, or with two of them, tell no order of time.
-    if len({len(each) for each in words}) > 1 or len(varying) != 1:
+    if len({len(entry) for entry in words}) > 1 or len(varying) != 1:
         return
     numbers = np.array([number for number in varying[0] if isinstance(number, int)])
     if len(numbers) < len(files):
@@ -195,10 +195,10 @@ def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray, float | None, np.ndar
         origins: ("f", ("frames", 3)),
     }
     members, _ = read_members(read_arrays(path, layout), layout, refuse, ("fps", contact, origins))
-    moved = members[positions].astype(np.float32, copy=False)
+    places = members[positions].astype(np.float32, copy=False)
     if origins in members:  # a trajectory in half precision
-        moved = moved + members[origins].astype(np.float32)[:, None]
-    surface = moved, members[faces].astype(np.int64, copy=False)
+        places = places + members[origins].astype(np.float32)[:, None]
+    surface = places, members[faces].astype(np.int64, copy=False)
     fps = float(members["fps"]) if "fps" in members else None
     return *surface, fps, members[contact].astype(bool) if contact in members else None
 

@@ -67,10 +67,10 @@ def strongest_influences(bones: np.ndarray, weights: np.ndarray, count: int) -> 
     """
     count = min(count, int((weights > 0).sum(axis=1).max()))
     order = np.argsort(-weights, axis=1, kind="stable")[:, :count]
-    kept = np.take_along_axis(weights, order, axis=1).astype(np.float64)
-    kept /= kept.sum(axis=1, keepdims=True)
-    chosen = np.where(kept > 0, np.take_along_axis(bones, order, axis=1), 0)
-    return SkinningWeights(chosen.astype(np.int64), kept.astype(np.float32))
+    shares = np.take_along_axis(weights, order, axis=1).astype(np.float64)
+    shares /= shares.sum(axis=1, keepdims=True)
+    chosen = np.where(shares > 0, np.take_along_axis(bones, order, axis=1), 0)
+    return SkinningWeights(chosen.astype(np.int64), shares.astype(np.float32))
 
 
 def bone_transforms(skeleton: Skeleton, poses: PoseSequence) -> Tensor:
@@ -151,8 +151,8 @@ class SkinnedSurface:
         result = np.empty((len(transforms), self._matrix.shape[0], 3), dtype=np.float32)
         for start in range(0, len(result), self.CHUNK):
             chunk = stacked[:, :, start : start + self.CHUNK]
-            moved = self._matrix @ chunk.reshape(self._matrix.shape[1], -1)
-            result[start : start + self.CHUNK] = moved.reshape(len(moved), -1, 3).transpose(1, 0, 2)
+            block = self._matrix @ chunk.reshape(self._matrix.shape[1], -1)
+            result[start : start + self.CHUNK] = block.reshape(len(block), -1, 3).transpose(1, 0, 2)
         return torch.from_numpy(result)
 
     def turned(self, offsets: Tensor, transforms: Tensor) -> Tensor:

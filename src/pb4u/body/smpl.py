@@ -152,8 +152,8 @@ def read_contact(path: Path, vertices: int) -> np.ndarray:
         contact[omitted] = False
         return contact
     content = load_pickle(path)
-    held = content.get("vertex_type", ()) if isinstance(content, Mapping) else ()
-    types = stored_numbers(held, path, "vertex_type")
+    values = content.get("vertex_type", ()) if isinstance(content, Mapping) else ()
+    types = stored_numbers(values, path, "vertex_type")
     if types.dtype.kind not in "iu" or types.size != vertices:
         raise InputError(
             f'{path} should hold "vertex_type", a number for each of the {vertices:,} vertices of the body.'

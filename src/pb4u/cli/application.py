@@ -52,8 +52,8 @@ for verb in (
 app.add_typer(assets.group, name="assets")
 
 
-def _tell_version(asked: bool) -> None:
-    if asked:
+def _tell_version(is_given: bool) -> None:
+    if is_given:
         print(f"pb4u {__version__}")
         raise typer.Exit
 

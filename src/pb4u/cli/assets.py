@@ -70,14 +70,14 @@ def assets(
     if context.invoked_subcommand:
         return
     check_json_target(json)
-    found = catalogue()
-    write_json(found, json)
+    assets_by_kind = catalogue()
+    write_json(assets_by_kind, json)
     if json == "-":
         return
     from rich.console import Console
     from rich.table import Table
 
-    for kind, rows in found.items():
+    for kind, rows in assets_by_kind.items():
         table = Table(
             title=kind, title_justify="left", title_style="bold", show_header=False, box=None, padding=(0, 2, 0, 2)
         )
@@ -98,7 +98,8 @@ def catalogue() -> dict[str, list[dict[str, Any]]]:
     from pb4u.motion.library import motion_names
     from pb4u.simulation.models import model_descriptions
 
-    fabrics = {name: cut.fabric for name, cut in CUTS.items()} | {name: each.fabric for name, each in DRAFTED.items()}
+    fabrics = {name: cut.fabric for name, cut in CUTS.items()}
+    fabrics |= {name: garment.fabric for name, garment in DRAFTED.items()}
     return {
         "bodies": [{"name": name, **_body_entries(name)} for name in body_names()],
         "motions": [{"name": name, "description": _WHAT[name]} for name in motion_names()],
@@ -166,8 +167,8 @@ def write(
     from pb4u.garment.material import BUILT_IN
     from pb4u.motion.library import motion_names
 
-    named = {"garment": garment_names(), "body": body_names(), "motion": motion_names(), "material": BUILT_IN}
-    kinds = {each: kind for kind, names in named.items() for each in names}
+    names_by_kind = {"garment": garment_names(), "body": body_names(), "motion": motion_names(), "material": BUILT_IN}
+    kinds = {name: kind for kind, names in names_by_kind.items() for name in names}
     if name not in kinds and Path(name).exists():
         kinds[name] = "body"
     refuse_unknown("built-in asset", [name], kinds)
@@ -218,8 +219,8 @@ def _write_motion(name: str, figure: ShapedBody, frames: int, fps: float, out: P
 
     moving = figure.posed(load_motion(name).poses(figure, fps, frames))
     write_vertex_sequence(out, moving.positions(0, frames).numpy(), figure.faces, fps, figure.contact)
-    told = {"body": figure.name, "vertices": len(figure.vertices), "triangles": len(figure.faces)}
-    return {**told, "frames": frames, "fps": fps}
+    summary = {"body": figure.name, "vertices": len(figure.vertices), "triangles": len(figure.faces)}
+    return {**summary, "frames": frames, "fps": fps}
 
 
 def _write_material(name: str, out: Path) -> dict[str, Any]:
@@ -264,10 +265,10 @@ def swatches(
     made_of = {name: load_material(name) for name in material or FABRICS}
     sheet, rows = [], []
     with progress_bar("drape") as progress:
-        for done, (name, fabric) in enumerate(made_of.items(), start=1):
+        for number, (name, fabric) in enumerate(made_of.items(), start=1):
             test, band = drape_test(fabric, 1e-3 * edge), published().get(name)
-            told = f"{test.coefficient:.0f} %" + (f", published {band.lowest:g} to {band.highest:g}" if band else "")
-            sheet.append(Swatch(test.draped, (Path(name).stem, told)))
+            caption = f"{test.coefficient:.0f} %" + (f", published {band.lowest:g} to {band.highest:g}" if band else "")
+            sheet.append(Swatch(test.draped, (Path(name).stem, caption)))
             rows.append(
                 {
                     "material": name,
@@ -277,7 +278,7 @@ def swatches(
                     "published": band and band._asdict(),
                 }
             )
-            progress(done, len(made_of))
+            progress(number, len(made_of))
     write_swatches(sheet, out)
     tell({"out": str(out), "edge": edge, "swatches": rows}, json, f"Wrote {out}")
 

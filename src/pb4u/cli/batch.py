@@ -73,26 +73,26 @@ def batch(
     pool = pool_of(workers, ray)
     runs = read_jobs(jobs, MOST_CLIPS if most_clips is None else most_clips)
 
-    made = make_dataset(
+    result = make_dataset(
         runs, out, pool, clips_per_shard if format == "webdataset" else None, half=half, jobs_file=jobs.name,
         retry=retry, plan_only=plan, say=say, progress=progress_bar,
     )  # fmt: skip
     if plan:
-        write_json(made, json)
+        write_json(result, json)
         return
-    tell(made, json, f"{made['done']} of {made['clips']} clips, {size_text(made['bytes'])}: {made['index']}")
+    tell(result, json, f"{result['done']} of {result['clips']} clips, {size_text(result['bytes'])}: {result['index']}")
     for count, what in (
-        (made["diverged"], "diverged (the index has them in its column `diverged`)"),
-        (made["limbs_through_cloth"], "have limbs that went through the cloth (column `limbs_through_cloth_max`)"),
+        (result["diverged"], "diverged (the index has them in its column `diverged`)"),
+        (result["limbs_through_cloth"], "have limbs that went through the cloth (column `limbs_through_cloth_max`)"),
     ):
         if count:
-            say(f"warning: {count} of {made['done']} clips {what}.")
-    for note in made["notes"][:_NOTES_TOLD]:
+            say(f"warning: {count} of {result['done']} clips {what}.")
+    for note in result["notes"][:_NOTES_TOLD]:
         say(f"in {note['clips']} clips: {note['sentence']}")
-    failures = made["failures"]
+    failures = result["failures"]
     for failure in failures[:_FAILURES_TOLD]:
         print(f"pb4u: failed: {failure['job']}: {failure['sentence']}", file=sys.stderr)
     if failures:
         raise Pb4uError(
-            f"{len(failures)} of {made['clips']} clips failed; the index lists them, and --retry tries them again."
+            f"{len(failures)} of {result['clips']} clips failed; the index lists them, and --retry tries them again."
         )

@@ -63,11 +63,11 @@ def check(
     from pb4u.body.vertex_sequence import VertexSequence
 
     names = _named_garments(file, garment, motion, crop, fix)
-    given = names[0] if names else None
+    only = names[0] if names else None
     check_json_target(json)
     keep_inputs([*names, body, motion], [("--fix", fix), ("--json", json)])
     if fix is not None:
-        _check_fix(fix, given)
+        _check_fix(fix, only)
     if triangles is not None:
         _warn_of_triangles(names)
     with warnings.catch_warnings():
@@ -83,9 +83,9 @@ def check(
     refused = False
     if len(names) > 1:
         report |= _check_outfit(names, figure, body, triangles)
-        refused = any(each["refused"] for each in report["garments"]) or bool(report["crossings"]["as_worn"])
-    elif given is not None:
-        report["garment"] = _check_garment(given, figure, body, triangles, fix)
+        refused = any(entry["refused"] for entry in report["garments"]) or bool(report["crossings"]["as_worn"])
+    elif only is not None:
+        report["garment"] = _check_garment(only, figure, body, triangles, fix)
         refused = (report["garment"] if fix is None else report["garment"]["remaining"])["refused"]
     if motion is not None:
         report["motion"] = _check_motion(motion, figure, crop)
@@ -135,16 +135,16 @@ def _check_outfit(names: list[str], figure: Any, body: str, triangles: int | Non
     from pb4u.garment.fit import RestBody
     from pb4u.garment.tangles import OutfitCrossings
 
-    found = [_check_garment(name, figure, body, triangles, None) for name in names]
-    if any(each["refused"] for each in found):
+    reports = [_check_garment(name, figure, body, triangles, None) for name in names]
+    if any(report["refused"] for report in reports):
         # What is in other units or far away crosses nothing yet.
-        return {"garments": found, "crossings": {"as_made": [], "as_worn": []}}
+        return {"garments": reports, "crossings": {"as_made": [], "as_worn": []}}
     crossings = OutfitCrossings.of([_placed(name, figure, triangles) for name in names], RestBody.of(figure))
-    told = {
+    tangles = {
         when: [tangle.to_json() | {"sentence": str(tangle)} for tangle in getattr(crossings, when)]
         for when in ("as_made", "as_worn")
     }
-    return {"garments": found, "crossings": told}
+    return {"garments": reports, "crossings": tangles}
 
 
 def _placed(name: str, figure: Any, triangles: int | None) -> Any:
@@ -161,10 +161,10 @@ def _is_mesh(name: str) -> bool:
     return kind_of(name) is KINDS["mesh"]
 
 
-def _check_fix(fix: Path, given: str | None) -> None:
+def _check_fix(fix: Path, garment: str | None) -> None:
     if fix.suffix.lower() != ".obj":
         raise InputError(f"--fix writes an .obj; {fix} ends otherwise.")
-    if given is None or not _is_mesh(given):
+    if garment is None or not _is_mesh(garment):
         raise InputError("--fix mends a garment from a mesh file; give that file.")
     check_writable(fix, "--fix")
 
@@ -179,26 +179,26 @@ def _check_garment(name: str, figure: Any, body: str, triangles: int | None, fix
 
     unmended: dict[str, Any] = {"mended": [], "left": [], "remaining": None}
     if not _is_mesh(name):
-        made = _placed(name, figure, triangles)
-        found = {"name": name, **diagnose(made, figure, name, body).to_json(), **unmended}
-        return found | {"parts": fabrics_of_parts(name, made)}
+        garment = _placed(name, figure, triangles)
+        report = {"name": name, **diagnose(garment, figure, name, body).to_json(), **unmended}
+        return report | {"parts": fabrics_of_parts(name, garment)}
     source = read_source(Path(name))
-    found = {"name": name, **diagnose(source, figure, name, body).to_json(), **unmended, "parts": {}}
-    if not found["refused"]:
+    report = {"name": name, **diagnose(source, figure, name, body).to_json(), **unmended, "parts": {}}
+    if not report["refused"]:
         # What is odd about the file, or cannot be simulated as it is, is among the findings.
         with warnings.catch_warnings(), contextlib.suppress(InputError):
             warnings.simplefilter("ignore")
-            found["parts"] = fabrics_of_parts(name, _placed(name, figure, None))
+            report["parts"] = fabrics_of_parts(name, _placed(name, figure, None))
     if fix is not None:
-        mended, changes, left = repair(source, figure)
+        mended, changes, remarks = repair(source, figure)
         if lost := left_out(Path(name), source) if Path(name).suffix.lower() == ".obj" else []:
-            left = (*left, f"Its {', '.join(lost)} are not in the mended file.")
+            remarks = (*remarks, f"Its {', '.join(lost)} are not in the mended file.")
         remaining = diagnose(mended, figure, fix, body)
         # A file of this name is taken for a garment that can be worn.
         if not remaining.is_refused:
             write_obj(fix, mended)
-        found |= {"mended": list(changes), "left": list(left), "remaining": remaining.to_json()}
-    return found
+        report |= {"mended": list(changes), "left": list(remarks), "remaining": remaining.to_json()}
+    return report
 
 
 def _check_motion(name: str, figure: Any, crop: tuple[int, int] | None) -> dict[str, Any]:
@@ -225,12 +225,12 @@ def _lines(garment: dict[str, Any], fix: Path | None, body: str) -> list[str]:
 
     command = fix_command(garment["name"], body)
 
-    def told(finding: dict[str, Any]) -> str:
+    def line_of(finding: dict[str, Any]) -> str:
         # The command stands once, at the end.
         return f"{finding['sentence']} Fix: {finding['fix'].replace(f' with {command}', '')}."
 
     if fix is None:
-        lines = [f"{finding['severity']}: {told(finding)}" for finding in garment["findings"]]
+        lines = [f"{finding['severity']}: {line_of(finding)}" for finding in garment["findings"]]
         lines += [] if garment["held_by"] is None else [f"held up by its {garment['held_by']}."]
         if garment["parts"]:
             parts = [part if fabric is None else f"{part} ({fabric})" for part, fabric in garment["parts"].items()]
@@ -238,12 +238,12 @@ def _lines(garment: dict[str, Any], fix: Path | None, body: str) -> list[str]:
         if any(finding["mendable"] for finding in garment["findings"]):
             lines.append(f"To mend what is safe to mend: {command}.")
         return lines if garment["findings"] else [f"{garment['name']}: nothing to mend.", *lines]
-    left = [finding for finding in garment["remaining"]["findings"] if finding["severity"] != "note"]
+    remaining = [finding for finding in garment["remaining"]["findings"] if finding["severity"] != "note"]
     command, refused = fix_command(fix, body), garment["remaining"]["refused"]
     # Nothing is mended in a file that was not written.
     lines = [f"{'tried' if refused else 'mended'}: {sentence}" for sentence in garment["mended"]]
     lines += [f"not mended: {sentence}" for sentence in garment["left"]]
-    lines += [f"stays: {told(finding)}" for finding in left]
+    lines += [f"stays: {line_of(finding)}" for finding in remaining]
     return lines if refused else [*lines, f"written: {fix}"]
 
 
@@ -255,12 +255,12 @@ def _print(report: dict[str, Any], fix: Path | None, body: str) -> None:
         for line in _lines(garment, fix, body):
             console.print(line, markup=False)
     if "crossings" in report:
-        made, worn = report["crossings"]["as_made"], report["crossings"]["as_worn"]
-        for tangle in made:
+        as_made, as_worn = report["crossings"]["as_made"], report["crossings"]["as_worn"]
+        for tangle in as_made:
             console.print(f"as made: {tangle['sentence']}.", markup=False)
-        for tangle in worn:
+        for tangle in as_worn:
             console.print(f"refused: {tangle['sentence']} still. Fix: wear them in another order.", markup=False)
-        if not worn:
+        if not as_worn:
             console.print("laid over each other in this order, they cross nowhere.", markup=False)
     if "motion" in report:
         motion = report["motion"]

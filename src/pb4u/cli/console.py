@@ -38,11 +38,11 @@ class _Switches:
     def get_params(self, ctx: Any) -> list[Any]:
         """Arguments and options of a verb, help included."""
         params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
-        for each in params:
-            if getattr(each, "is_flag", False):
-                each.metavar = ""
-            if each.name == "help":
-                each.default = False
+        for parameter in params:
+            if getattr(parameter, "is_flag", False):
+                parameter.metavar = ""
+            if parameter.name == "help":
+                parameter.default = False
         return params
 
 
@@ -50,8 +50,8 @@ _WHOLE = "pb4u.whole_help"
 """Key of what the help of a call shows: all options, or those that most calls have."""
 
 
-def _show_all(context: typer.Context, asked: bool) -> None:
-    if asked:
+def _show_all(context: typer.Context, is_given: bool) -> None:
+    if is_given:
         context.meta[_WHOLE] = True
         print(context.get_help())
         raise typer.Exit
@@ -76,8 +76,8 @@ class Verb(_Switches, TyperCommand):
         """Arguments and options of the verb; hidden are those that its brief help leaves out."""
         params = super().get_params(ctx)
         if self.brief:
-            for each in params:
-                each.hidden = not ctx.meta.get(_WHOLE) and each.name not in {*self.brief, "help", "help_all"}
+            for parameter in params:
+                parameter.hidden = not ctx.meta.get(_WHOLE) and parameter.name not in {*self.brief, "help", "help_all"}
         return params
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -108,11 +108,11 @@ class Verbs(_Switches, TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The verb that is called; of an unknown one the nearest is named."""
-        asked = args[0]
-        begun = [verb for verb in self.commands if verb.startswith(asked)]
-        near = [_ELSEWHERE.get(asked, ""), *begun, *get_close_matches(asked, self.commands)]
-        if asked not in self.commands and (known := [verb for verb in near if verb in self.commands]):
-            ctx.fail(f"There is no command '{asked}'; did you mean '{known[0]}'?")
+        name = args[0]
+        begun = [verb for verb in self.commands if verb.startswith(name)]
+        near = [_ELSEWHERE.get(name, ""), *begun, *get_close_matches(name, self.commands)]
+        if name not in self.commands and (verbs := [verb for verb in near if verb in self.commands]):
+            ctx.fail(f"There is no command '{name}'; did you mean '{verbs[0]}'?")
         return super().resolve_command(ctx, args)
 
 
@@ -130,37 +130,37 @@ def verb(**groups: Mapping[str, Any]) -> Callable[[Callable[..., None]], Callabl
 
     def made(command: Callable[..., None]) -> Callable[..., None]:
         parameters, texts = [], argument_texts(command)
-        for own in inspect.signature(command, eval_str=True).parameters.values():
-            flags = groups.get(own.name) or {own.name: _with_help(own, texts.get(own.name))}
-            default = None if own.name in groups else own.default
+        for parameter in inspect.signature(command, eval_str=True).parameters.values():
+            flags = groups.get(parameter.name) or {parameter.name: _with_help(parameter, texts.get(parameter.name))}
+            default = None if parameter.name in groups else parameter.default
             parameters += [
                 inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
                 for name, kind in flags.items()
             ]
 
-        def call(**given: Any) -> None:
-            gathered = {argument: {name: given.pop(name) for name in flags} for argument, flags in groups.items()}
-            with noted() as told:
-                token = _TOLD.set(told)
+        def call(**values: Any) -> None:
+            gathered = {argument: {name: values.pop(name) for name in flags} for argument, flags in groups.items()}
+            with noted() as notes:
+                token = _TOLD.set(notes)
                 try:
-                    command(**gathered, **given)
+                    command(**gathered, **values)
                 finally:
                     _TOLD.reset(token)
 
         call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        call.__annotations__ = {each.name: each.annotation for each in parameters}
+        call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         call.__doc__, call.__name__ = command.__doc__, command.__name__
         return call
 
     return made
 
 
-def _with_help(own: inspect.Parameter, text: str | None) -> Any:
+def _with_help(parameter: inspect.Parameter, text: str | None) -> Any:
     """Type of an argument as typer reads it, with its text as help where it has no other."""
-    is_told = get_origin(own.annotation) is Annotated
-    kind, offered = get_args(own.annotation)[:2] if is_told else (own.annotation, None)
+    is_told = get_origin(parameter.annotation) is Annotated
+    kind, offered = get_args(parameter.annotation)[:2] if is_told else (parameter.annotation, None)
     if offered is None:
-        offered = typer.Argument() if own.default is inspect.Parameter.empty else typer.Option()
+        offered = typer.Argument() if parameter.default is inspect.Parameter.empty else typer.Option()
     elif offered.help is None:
         offered = copy(offered)
     offered.help = offered.help or text
@@ -224,11 +224,11 @@ def wrote(targets: Iterable[Path], frames: int) -> str:
         targets: paths that were exported to.
         frames: number of frames.
     """
-    told: list[str] = []
+    names: list[str] = []
     for target in targets:
         files = [str(file) for file in written_files(target, frames)]
-        told += [f"{files[0]} to {files[-1]}"] if len(files) > 2 else files
-    return f"Wrote {', '.join(dict.fromkeys(told))}"
+        names += [f"{files[0]} to {files[-1]}"] if len(files) > 2 else files
+    return f"Wrote {', '.join(dict.fromkeys(names))}"
 
 
 def check_json_target(target: str | None) -> None:
@@ -261,8 +261,8 @@ def keep_inputs(
     Raises:
         InputError: two of them are one file.
     """
-    given = [named_file(name) for name in inputs if isinstance(name, str | Path)]
-    read = [file for path in given if path.exists() for file in with_companions(path)]
+    paths = [named_file(name) for name in inputs if isinstance(name, str | Path)]
+    read = [file for path in paths if path.exists() for file in with_companions(path)]
     written: list[tuple[Path, Path]] = []
     single = [(flag, Path(path)) for flag, path in outputs if path is not None and str(path) != "-"]
     for flag, path, is_export in [*((f, p, False) for f, p in single), *((called, p, True) for p in exports)]:

@@ -51,11 +51,11 @@ def convert_weights(
         "time_step": released.record.dt,
         "dropped": list(released.dropped),
     }
-    told = f"Wrote {out}: {released.preset}, {parameters:,} parameters, licence {released.licence}."
+    text = f"Wrote {out}: {released.preset}, {parameters:,} parameters, licence {released.licence}."
     if released.dropped:
         parts = sorted({_part(key) for key in released.dropped})
-        told += f"\nLeft out, since nothing reads them: {len(released.dropped)} tensors of {', '.join(parts)}."
-    tell(summary, json, told)
+        text += f"\nLeft out, since nothing reads them: {len(released.dropped)} tensors of {', '.join(parts)}."
+    tell(summary, json, text)
 
 
 def _part(key: str) -> str:

@@ -50,16 +50,16 @@ def evaluate(
     from pb4u.paper.report import PLOTS, TABLES
 
     check_json_target(json)
-    asked = EvaluationRequest(**given_values(EvaluationRequest, request))
-    read = [name for names in (asked.models, asked.garments, asked.motions, asked.bodies) for name in names or ()]
+    spec = EvaluationRequest(**given_values(EvaluationRequest, request))
+    read = [name for names in (spec.models, spec.garments, spec.motions, spec.bodies) for name in names or ()]
     keep_inputs(read, [("--json", json)])
     if plots is not None and plots.exists() and not plots.is_dir():
         raise InputError(f"--plots writes a folder; {plots} is a file.")
     pool = pool_of(workers, ray)
 
-    folder = out or Path(f"evaluate_{asked.protocol}")
+    folder = out or Path(f"evaluate_{spec.protocol}")
     progress = partial(announced, part="rollout", say=say, alike=False)
-    results = run(asked, folder, pool, retry, say=say, progress=progress)
+    results = run(spec, folder, pool, retry, say=say, progress=progress)
     tell(results, json, f"Report: {folder / TABLES}")
     if plots is not None and not is_same_file(plots, folder / PLOTS):
         plots.mkdir(parents=True, exist_ok=True)

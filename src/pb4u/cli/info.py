@@ -40,20 +40,20 @@ def info(
         json: file for the result.
     """
     check_json_target(json)
-    found = gather()
+    facts = gather()
     if model is not None:
-        found["model"], described = describe_model(model)
-        found |= described
+        facts["model"], described = describe_model(model)
+        facts |= described
     if trajectory is not None:
-        found["garments"] = describe_trajectory(trajectory)
-    write_json(found, json)
+        facts["garments"] = describe_trajectory(trajectory)
+    write_json(facts, json)
     if json == "-":
         return
     from rich.console import Console
     from rich.table import Table
 
     table = Table(show_header=False, box=None, pad_edge=False)
-    for key, value in found.items():
+    for key, value in facts.items():
         if key == "garments":
             value = [_told(garment) for garment in value]
         if isinstance(value, list):
@@ -130,7 +130,7 @@ def describe_trajectory(path: Path) -> list[dict[str, Any]]:
 
     buttons = opened.header.buttons
     of_garment = [] if buttons is None else opened.header.vertex_garment[buttons].tolist()
-    listed = []
+    garments = []
     for number, (garment, entry) in enumerate(zip(garments_of(opened), opened.header.garments, strict=True)):
         layers = garment.layers / garment.layers.sum(axis=1, keepdims=True)
         fabrics: dict[str, float] = {}
@@ -141,33 +141,33 @@ def describe_trajectory(path: Path) -> list[dict[str, Any]]:
                 fabrics[name] = round(fabrics.get(name, 0.0) + area, 4)
         parts: dict[str, dict[str, Any]] = {}
         for part in garment.sewn:
-            made = {name: given for name, given in vars(part).items() if given is not None and name != "name"}
-            parts[part.name] = made if part.material is None else made | {"material": named(part.material)}
-        listed.append(
+            values = {name: value for name, value in vars(part).items() if value is not None and name != "name"}
+            parts[part.name] = values if part.material is None else values | {"material": named(part.material)}
+        garments.append(
             {
                 "name": garment.name, "triangles": len(garment.faces), "fabrics": fabrics, "parts": parts,
                 "panels": entry.get("panels", []), "buttons": of_garment.count(number),
             }
         )  # fmt: skip
-    return listed
+    return garments
 
 
 def _told(garment: dict[str, Any]) -> str:
-    fabrics = sorted(garment["fabrics"].items(), key=lambda each: -each[1])
-    told = f"{garment['name']}: {garment['triangles']} triangles of " + ", ".join(f"{n} {s:.0%}" for n, s in fabrics)
-    parts = [_told_part(name, made) for name, made in garment["parts"].items()]
-    told += f"; {', '.join(parts)}" if parts else ""
-    told += f"; panels {', '.join(garment['panels'])}" if garment["panels"] else ""
-    return told + (f"; {garment['buttons']} buttons" if garment["buttons"] else "")
+    fabrics = sorted(garment["fabrics"].items(), key=lambda share: -share[1])
+    text = f"{garment['name']}: {garment['triangles']} triangles of " + ", ".join(f"{n} {s:.0%}" for n, s in fabrics)
+    parts = [_told_part(name, values) for name, values in garment["parts"].items()]
+    text += f"; {', '.join(parts)}" if parts else ""
+    text += f"; panels {', '.join(garment['panels'])}" if garment["panels"] else ""
+    return text + (f"; {garment['buttons']} buttons" if garment["buttons"] else "")
 
 
-def _told_part(name: str, made: dict[str, Any]) -> str:
+def _told_part(name: str, values: dict[str, Any]) -> str:
     """A part and what it is made of, as `hem (2 layers)`."""
     words = {
         "material": "{}", "layers": "{} layers", "interfacing": "interfacing of {} N m",
         "elastic": "elastic of {} times the length", "width": "{} m wide",
     }  # fmt: skip
-    return f"{name} ({', '.join(words[key].format(given) for key, given in made.items())})"
+    return f"{name} ({', '.join(words[key].format(value) for key, value in values.items())})"
 
 
 def _version(package: str) -> str:

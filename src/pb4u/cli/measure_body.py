@@ -44,5 +44,5 @@ def measure_body(
     figure = load_boned_body(body, BodyShape.of(body_shape))
     measures = body_measurements(figure)
     replace_file(out, measurements_yaml(measures).encode())
-    told = {"body": figure.name, "measures": measures, "out": str(out)}
-    tell(told, json, f"Wrote {out}, {len(measures)} measures of {figure.name}.")
+    summary = {"body": figure.name, "measures": measures, "out": str(out)}
+    tell(summary, json, f"Wrote {out}, {len(measures)} measures of {figure.name}.")

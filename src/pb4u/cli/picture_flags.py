@@ -47,36 +47,36 @@ class PictureRequest:
 PICTURE_FLAGS = record_flags(PictureRequest)
 
 
-def view_of(targets: Sequence[Path], given: Mapping[str, Any]) -> View | None:
+def view_of(targets: Sequence[Path], values: Mapping[str, Any]) -> View | None:
     """The view that the flags ask for; None where none of them is given.
 
     Args:
         targets: files to write, of suffixes that are known; one of them at least has pictures where a flag is given.
-        given: values of the flags by name.
+        values: values of the flags by name.
 
     Raises:
         InputError: a flag has no such value, or the files have no pictures of that kind.
     """
     from pb4u.export.view import View
 
-    given = dict.fromkeys(given) | given_values(PictureRequest, given)
-    asked: dict[str, Any] = {
-        name: given[name] for name in ("elevation", "turntable", "weave") if given[name] is not None
+    values = dict.fromkeys(values) | given_values(PictureRequest, values)
+    options: dict[str, Any] = {
+        name: values[name] for name in ("elevation", "turntable", "weave") if values[name] is not None
     }
-    if given["view"] is not None:
-        asked["azimuth"] = _azimuth(given["view"])
-    if (size := given["size"]) is not None:
+    if values["view"] is not None:
+        options["azimuth"] = _azimuth(values["view"])
+    if (size := values["size"]) is not None:
         width, _, height = size.lower().partition("x")
         if not (width.isdecimal() and height.isdecimal()):
             raise InputError(f"--size is WIDTHxHEIGHT in pixels, such as 1080x1920; not {size!r}.")
-        asked["width"], asked["height"] = int(width), int(height)
-    if given["colour"]:
-        asked["cloths"] = tuple(_rgb(colour) for colour in given["colour"])
-    if given["background"] is not None:
-        asked["background"] = _rgb(given["background"])
-    if not asked:
+        options["width"], options["height"] = int(width), int(height)
+    if values["colour"]:
+        options["cloths"] = tuple(_rgb(colour) for colour in values["colour"])
+    if values["background"] is not None:
+        options["background"] = _rgb(values["background"])
+    if not options:
         return None
-    view = View(**asked)
+    view = View(**options)
     # Where none is drawn, the first is told of.
     for target in [target for target in targets if is_drawn(target)] or targets[:1]:
         check_view(target, view)

@@ -109,7 +109,7 @@ def _value(entry: Entry, value: Any) -> Any:
         return value == "on"
     if entry.kind not in ("names", "counts"):
         return value
-    names = tuple(each.strip() for each in value.split(",") if each.strip())
+    names = tuple(name.strip() for name in value.split(",") if name.strip())
     for name in names if entry.kind == "counts" else ():
         if not name.isdecimal():
             raise InputError(f"--{entry.name.replace('_', '-')} takes whole numbers such as 5,15,30; {name!r} is none.")

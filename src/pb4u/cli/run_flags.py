@@ -154,48 +154,48 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
     Raises:
         InputError: a flag names a garment that is not there, or is given for none in particular.
     """
-    given = {name: value for name, value in flags.items() if value is not None}
-    tuck, tack, method = given.pop("tuck", []), given.pop("tack", []), given.pop("as_released", None)
-    named = given.get("garment")
-    worn = [WornGarment(name).name for name in named] if named else [each.name for each in described_run.garments]
-    of_parts = _of_parts(given, worn)
+    values = {name: value for name, value in flags.items() if value is not None}
+    tuck, tack, method = values.pop("tuck", []), values.pop("tack", []), values.pop("as_released", None)
+    garments = values.get("garment")
+    names = [garment.name for garment in (map(WornGarment, garments) if garments else described_run.garments)]
+    of_parts = _of_parts(values, names)
     for name in entries("garments"):
-        if name in given and name not in ("garment", "tucked", "tacks"):
-            given[name] = _one_each(name, given[name], worn)
+        if name in values and name not in ("garment", "tucked", "tacks"):
+            values[name] = _one_each(name, values[name], names)
     for name, number, part, value in of_parts:
-        whole = given.setdefault(name, [None] * len(worn))
-        before = None if named else getattr(described_run.garments[number], name)
-        kept = whole[number] if whole[number] is not None else before
-        rest = {} if kept is None else {REST: kept}
-        whole[number] = {**(kept if isinstance(kept, Mapping) else rest), part: value}
-    refuse_unknown("garment", tuck, worn, "The scene")
+        row = values.setdefault(name, [None] * len(names))
+        before = None if garments else getattr(described_run.garments[number], name)
+        part_values = row[number] if row[number] is not None else before
+        rest = {} if part_values is None else {REST: part_values}
+        row[number] = {**(part_values if isinstance(part_values, Mapping) else rest), part: value}
+    refuse_unknown("garment", tuck, names, "The scene")
     if tuck:
-        given["tucked"] = [True if name in tuck else None for name in worn]
+        values["tucked"] = [True if name in tuck else None for name in names]
     if tack:
-        given["tacks"] = [[each.value for each in tack if each.garment in (None, name)] or None for name in worn]
-        for each in tack:
-            if each.garment is None and len(worn) > 1:
-                raise InputError(f"--tack says of which garment its vertices are, as in --tack {worn[0]}=10:210.")
-        refuse_unknown("garment", [each.garment for each in tack if each.garment], worn, "The scene")
+        values["tacks"] = [[value.value for value in tack if value.garment in (None, name)] or None for name in names]
+        for value in tack:
+            if value.garment is None and len(names) > 1:
+                raise InputError(f"--tack says of which garment its vertices are, as in --tack {names[0]}=10:210.")
+        refuse_unknown("garment", [value.garment for value in tack if value.garment], names, "The scene")
     for entry in described(Run).values():
-        if entry.name in given and is_on_or_off(entry):
-            given[entry.name] = given[entry.name] == "on"
-        is_none = entry.takes_none and given.get(entry.name) == NONE
-        if entry.name in given and entry.kind in ("whole", "number", "vector") and not is_none:
-            require_value(entry, given[entry.name], f"--{entry.name.replace('_', '-')}")
-    if "body_shape" in given:
-        kept = {} if "body" in given else described_run.body_shape
-        given["body_shape"] = {**kept, **BodyShape.of(given["body_shape"])}
-    return described_run.with_entries({**({} if method is None else released_entries(method)), **given})
+        if entry.name in values and is_on_or_off(entry):
+            values[entry.name] = values[entry.name] == "on"
+        is_none = entry.takes_none and values.get(entry.name) == NONE
+        if entry.name in values and entry.kind in ("whole", "number", "vector") and not is_none:
+            require_value(entry, values[entry.name], f"--{entry.name.replace('_', '-')}")
+    if "body_shape" in values:
+        shape = {} if "body" in values else described_run.body_shape
+        values["body_shape"] = {**shape, **BodyShape.of(values["body_shape"])}
+    return described_run.with_entries({**({} if method is None else released_entries(method)), **values})
 
 
 def run_flags() -> dict[str, Any]:
     """Type of the flag of each field of a run, as typer reads it."""
-    listed = [described(Run)[name] for section in SECTIONS for name in entries(section)]
-    listed.sort(key=lambda entry: (SCENE, BODY, MODEL, RESEARCH).index(entry.flag.panel))
+    ordered = [described(Run)[name] for section in SECTIONS for name in entries(section)]
+    ordered.sort(key=lambda entry: (SCENE, BODY, MODEL, RESEARCH).index(entry.flag.panel))
     return {
         **dict(map(_garment_flag, described(WornGarment).values())),
-        **{entry.name: flag_of(entry) for entry in listed},
+        **{entry.name: flag_of(entry) for entry in ordered},
         "crop": Annotated[FrameRange | None, option(described(Run)["crop"], parser=FrameRange.parse)],
         "body_shape": Annotated[list[BodyShape] | None, option(described(Run)["body_shape"], parser=BodyShape.parse)],
         "as_released": AsReleasedFlag,
@@ -222,31 +222,33 @@ def _garment_flag(entry: Entry) -> tuple[str, Any]:
     return entry.name, Annotated[list[GarmentValue] | None, option(entry, more, parser)]
 
 
-def _of_parts(given: dict[str, Any], names: Sequence[str]) -> list[tuple[str, int, str, Any]]:
-    """Takes out of `given` what is for one part of a garment: the flag, number of the garment, part and value."""
-    found = []
-    for name in [each.name for each in described(WornGarment).values() if each.flag.by_part and each.name in given]:
-        for value in list(given[name]):
+def _of_parts(values: dict[str, Any], names: Sequence[str]) -> list[tuple[str, int, str, Any]]:
+    """Takes out of `values` what is for one part of a garment: the flag, number of the garment, part and value."""
+    parts = []
+    for name in [
+        field.name for field in described(WornGarment).values() if field.flag.by_part and field.name in values
+    ]:
+        for value in list(values[name]):
             garment, dot, part = (value.garment or "").rpartition(".")
             if dot and value.garment not in names:
                 refuse_unknown("garment", [garment], names, "The scene")
-                found.append((name, names.index(garment), part, value.value))
-                given[name].remove(value)
-        if not given[name]:
-            del given[name]
-    return found
+                parts.append((name, names.index(garment), part, value.value))
+                values[name].remove(value)
+        if not values[name]:
+            del values[name]
+    return parts
 
 
-def _one_each(flag: str, given: Sequence[GarmentValue], names: Sequence[str]) -> list[Any]:
+def _one_each(flag: str, flag_values: Sequence[GarmentValue], names: Sequence[str]) -> list[Any]:
     """The value of a flag for each of the garments called `names`; None where it says nothing."""
-    unnamed = [each.value for each in given if each.garment is None]
+    unnamed = [value.value for value in flag_values if value.garment is None]
     if len(unnamed) not in (0, 1, len(names)):
         raise InputError(
             f"--{flag} is given {len(unnamed)} times, and the garments are {len(names)}; give it once for all, once a "
             f"garment in their order, or as NAME={flag.upper()}."
         )
     values = unnamed if len(unnamed) == len(names) else [unnamed[0] if unnamed else None] * len(names)
-    by_name = [each.garment for each in given if each.garment is not None]
+    by_name = [value.garment for value in flag_values if value.garment is not None]
     for name in by_name:
         refuse_unknown("garment", [name], names, "The scene")
         if names.count(name) > 1 or by_name.count(name) > 1:
@@ -256,5 +258,5 @@ def _one_each(flag: str, given: Sequence[GarmentValue], names: Sequence[str]) ->
                 else f"it is given {by_name.count(name)} times"
             )
             raise InputError(f"--{flag} {name}=.. does not say which: {why}.")
-    named = {each.garment: each.value for each in given if each.garment is not None}
-    return [named.get(name, value) for name, value in zip(names, values, strict=True)]
+    by_garment = {value.garment: value.value for value in flag_values if value.garment is not None}
+    return [by_garment.get(name, value) for name, value in zip(names, values, strict=True)]

@@ -58,19 +58,19 @@ def simulate(
         _refuse_garment(scene)
     run = run_of(Run() if scene is None else Run.open(scene), flags)
     refuse_useless(run, [name for name, value in flags.items() if value is not None])
-    asked = Outputs(**given_values(Outputs, outputs))
-    if (asked.measure or asked.reference) and not asked.json:
+    options = Outputs(**given_values(Outputs, outputs))
+    if (options.measure or options.reference) and not options.json:
         raise InputError("--measure and --reference add to the report of --json; give --json FILE too.")
-    targets = list(asked.out) or _default_targets(run)
+    targets = list(options.out) or _default_targets(run)
     for target in targets:
         check_target(target)
-    others = [("--save-scene", asked.save_scene), ("--json", asked.json)]
-    keep_inputs([scene, asked.reference, *run.files], others, targets)
+    others = [("--save-scene", options.save_scene), ("--json", options.json)]
+    keep_inputs([scene, options.reference, *run.files], others, targets)
     baked = [target for target in targets if target.suffix.lower() == ".glb"]
-    if asked.bones is not None:
+    if options.bones is not None:
         for target in baked or targets[:1]:
-            check_bones(target, asked.bones)
-    _simulate(run, asked, targets, view_of(targets, picture))
+            check_bones(target, options.bones)
+    _simulate(run, options, targets, view_of(targets, picture))
 
 
 def _refuse_garment(scene: Path) -> None:
@@ -96,20 +96,20 @@ def _default_targets(run: Run) -> list[Path]:
     return [Path(stem + suffix) for suffix in suffixes]
 
 
-def _simulate(run: Run, asked: Outputs, targets: list[Path], view: View | None) -> None:
+def _simulate(run: Run, options: Outputs, targets: list[Path], view: View | None) -> None:
     from pb4u.export.live_caches import check_live_folder
 
-    check_json_target(asked.json)
-    if asked.save_scene is not None:
-        check_writable(asked.save_scene, "--save-scene")
-    if asked.live is not None:
-        check_live_folder(asked.live)
-    with noted() as told:
-        _simulated(run, asked, targets, view, told)
+    check_json_target(options.json)
+    if options.save_scene is not None:
+        check_writable(options.save_scene, "--save-scene")
+    if options.live is not None:
+        check_live_folder(options.live)
+    with noted() as notes:
+        _simulated(run, options, targets, view, notes)
 
 
-def _simulated(run: Run, asked: Outputs, targets: list[Path], view: View | None, told: list[str]) -> None:
-    """Simulate and write; `told` gets what is warned of meanwhile."""
+def _simulated(run: Run, options: Outputs, targets: list[Path], view: View | None, warnings: list[str]) -> None:
+    """Simulate and write; `warnings` gets what is warned of meanwhile."""
     from pb4u.measures.overstretch import overstretched_sentences
     from pb4u.scene.trajectory_file import interrupted_path
     from pb4u.simulation.models import simulator_of
@@ -120,28 +120,28 @@ def _simulated(run: Run, asked: Outputs, targets: list[Path], view: View | None,
     if run.device == "cuda" and simulator.settings().get("device", "cpu") == "cpu":
         warn(f"{simulator.name} always runs on the CPU; --device cuda is for networks.")
     scene = scene_for(run, simulator)
-    against = _reference(asked.reference, run, simulator, scene)
-    if asked.save_scene is not None:
-        run.save(asked.save_scene)
+    against = _reference(options.reference, run, simulator, scene)
+    if options.save_scene is not None:
+        run.save(options.save_scene)
     record = RunRecord()
     file = next((target for target in targets if target.suffix.lower() == ".npz"), None)
-    kept = interrupted_path(file or targets[0])
-    trajectory, watched = _trajectory(run, simulator, scene, file, kept, asked.live, record)
-    _export(trajectory, [target for target in targets if target is not file], file, view, asked.bones)
-    if asked.json != "-":
+    rescue = interrupted_path(file or targets[0])
+    trajectory, watched = _trajectory(run, simulator, scene, file, rescue, options.live, record)
+    _export(trajectory, [target for target in targets if target is not file], file, view, options.bones)
+    if options.json != "-":
         print(wrote(targets, trajectory.frame_count))
     diverged, through, through_cloth = None, None, None
-    if asked.json:
+    if options.json:
         from pb4u.measures.run_report import run_report
 
         with progress_bar("measuring") as progress:
             limbs = watched.over(trajectory)
             # Limbs are told of once, by all frames.
-            notes = [sentence for sentence in told if sentence not in watched.told]
+            notes = [sentence for sentence in warnings if sentence not in watched.told]
             report = run_report(
-                trajectory, simulator, scene, record, progress, bool(asked.measure), against, limbs, notes
+                trajectory, simulator, scene, record, progress, bool(options.measure), against, limbs, notes
             )
-        write_json(report, asked.json)
+        write_json(report, options.json)
         diverged, through = report["diverged_at"], report.get("limbs_through_cloth")
     elif record.failed_at is None:
         from pb4u.measures.divergence import skinned_centres
@@ -208,35 +208,35 @@ def _trajectory(
     simulator: Simulator,
     scene: Scene,
     file: Path | None,
-    kept: Path,
+    rescue: Path,
     live: Path | None,
     record: RunRecord,
 ) -> tuple[Trajectory, _LimbWarnings]:
-    """Simulate into `file`, else into memory, of which an interrupt leaves what there is in `kept`."""
+    """Simulate into `file`, else into memory, of which an interrupt leaves what there is in `rescue`."""
     from pb4u.export.live_caches import LiveCaches
     from pb4u.simulation.run_simulation import frame_count, roll_out
 
     count = sum(dressed.garment.triangle_count for dressed in scene.garments)
     with ExitStack() as opened:
         label = f"{count:,} triangles, {simulator.name}"
-        told = opened.enter_context(announced(label, "step", say))
+        announce = opened.enter_context(announced(label, "step", say))
         header = simulator.header(scene)
         if file is not None and file.exists():
             _say_what_is_replaced(file, header, frame_count(run, scene))
         watched = _LimbWarnings(scene, header, run)
         if live is None:
-            return roll_out(run, simulator, scene, file, record, told, kept, watched), watched
+            return roll_out(run, simulator, scene, file, record, announce, rescue, watched), watched
         caches = opened.enter_context(LiveCaches(live, header, run.fps, run.written_frames))
 
-        def stepped(done: int, total: int) -> None:
-            told(done, total)
-            caches.progress(done, total)
+        def stepped(frames: int, total: int) -> None:
+            announce(frames, total)
+            caches.progress(frames, total)
 
         def seen(frame: Frame) -> None:
             caches.append(frame)
             watched(frame)
 
-        return roll_out(run, simulator, scene, file, record, stepped, kept, seen), watched
+        return roll_out(run, simulator, scene, file, record, stepped, rescue, seen), watched
 
 
 def _say_what_is_replaced(file: Path, header: TrajectoryHeader, frames: int) -> None:
@@ -249,7 +249,7 @@ def _say_what_is_replaced(file: Path, header: TrajectoryHeader, frames: int) -> 
         return
 
     def told(of: TrajectoryHeader, count: int) -> str:
-        return f"{' + '.join(each['name'] for each in of.garments)}, {of.metadata.get('motion')}, {count} frames"
+        return f"{' + '.join(garment['name'] for garment in of.garments)}, {of.metadata.get('motion')}, {count} frames"
 
     before, after = told(old.header, old.frame_count), told(header, frames)
     if before != after:
@@ -270,12 +270,12 @@ class _LimbWarnings:
         self.told: list[str] = []
 
     def __call__(self, frame: Frame) -> None:
-        known, number = set(self.watch.needs), len(self.rows)
+        bones, number = set(self.watch.needs), len(self.rows)
         self.rows.append(self.watch.through(number, frame.positions, frame.body_positions))
         # Named as it will be written, at the rate that was asked for.
         written = round(number * self.run.fps / self.scene.fps)
         for sentence in self.watch.sentences(
-            [bone for bone in self.watch.needs if bone not in known], written, self.said
+            [bone for bone in self.watch.needs if bone not in bones], written, self.said
         ):
             warn(sentence)
             self.told.append(sentence)
@@ -304,5 +304,5 @@ def _export(
                 of_glb = bones if target.suffix.lower() == ".glb" else None
                 export(trajectory, target, progress, view if is_drawn(target) else None, say, of_glb)
     except KeyboardInterrupt as error:
-        kept = saved or trajectory.save(interrupted_path(targets[0]))
-        raise Interrupted(f"all {trajectory.frame_count} frames are in {kept}", getattr(error, "signal", 2)) from error
+        path = saved or trajectory.save(interrupted_path(targets[0]))
+        raise Interrupted(f"all {trajectory.frame_count} frames are in {path}", getattr(error, "signal", 2)) from error

@@ -16,7 +16,7 @@ def train(*, request: Mapping[str, Any], json: JsonFlag = None) -> None:
     from pb4u.training.session import train as run
 
     check_json_target(json)
-    asked = TrainingRequest(**given_values(TrainingRequest, request))
-    keep_inputs([asked.pack, asked.weights], [("--json", json)])
-    result = run(asked)
+    training = TrainingRequest(**given_values(TrainingRequest, request))
+    keep_inputs([training.pack, training.weights], [("--json", json)])
+    result = run(training)
     tell(result, json, result["sentence"] + (f" Weights: {result['weights']}" if result["weights"] else ""))

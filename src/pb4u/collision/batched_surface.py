@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.collision.rooms import Rooms, found_rows
+from pb4u.collision.capacities import Capacities, found_rows
 from pb4u.geometry.closest_point import closest_barycentric
 
 if TYPE_CHECKING:
@@ -233,15 +233,15 @@ class PosedBatch:
         vertices = vertices.index_add(0, surface.faces.reshape(-1), (angles * thrice).reshape(-1, 3))
         return _unit(edges), _unit(vertices)
 
-    def closest(self, points: Tensor, rooms: Rooms | None = None) -> NearestPoints:
+    def closest(self, points: Tensor, capacities: Capacities | None = None) -> NearestPoints:
         """Exact closest points of the surface of each world; one that is not finite has one that means nothing.
 
         Args:
             points: (worlds, points, 3) float64 [m].
-            rooms: fixed numbers of groups and of faces that are looked at.
+            capacities: fixed numbers of groups and of faces that are looked at.
         """
         flat = points.reshape(-1, 3)
-        face, barycentric, position = self._closest_faces(points, flat, rooms)
+        face, barycentric, position = self._closest_faces(points, flat, capacities)
         normal, interior, beyond = self._feature(face, barycentric)
         offset = flat - position
         length, along = offset.norm(dim=1), (offset * normal).sum(1)
@@ -252,7 +252,9 @@ class PosedBatch:
         distance = torch.where(absent, torch.inf, sign * length)
         return NearestPoints(self.surface.names[face], barycentric, position, normal, distance, beyond | absent)
 
-    def _closest_faces(self, points: Tensor, flat: Tensor, rooms: Rooms | None) -> tuple[Tensor, Tensor, Tensor]:
+    def _closest_faces(
+        self, points: Tensor, flat: Tensor, capacities: Capacities | None
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Closest face (points,) of each point, the barycentric coordinates (points, 3) in it, and the position [m]."""
         balls, centres, radii = self._groups
         items, count = self.surface.groups.items, balls.radii.shape[1]
@@ -260,12 +262,12 @@ class PosedBatch:
         tried = self.corners[:, 0][items[worlds, balls.nearest(points)]]
         bounds = (tried - points[:, :, None]).norm(dim=-1).amin(-1)
 
-        pairs, filled = found_rows(balls.within(points, bounds), "groups of faces", rooms)
+        pairs, filled = found_rows(balls.within(points, bounds), "groups of faces", capacities)
         row = pairs // count
         face = items.flatten(0, 1)[row // points.shape[1] * count + pairs % count]
         bound, start = bounds.reshape(-1), flat[row]
         near = (centres[face] - start[:, None]).norm(dim=-1) - radii[face] <= bound[row, None] + _ROUNDING
-        pairs, filled = found_rows(near & filled[:, None], "faces", rooms)
+        pairs, filled = found_rows(near & filled[:, None], "faces", capacities)
         row, face = row[pairs // GROUP], face.reshape(-1)[pairs]
 
         start = flat[row]

@@ -218,7 +218,7 @@ def through_obstacle(corners: np.ndarray, first_obstacle: int, passed: np.ndarra
 
 
 def _met_by_obstacles(corners: np.ndarray, first_obstacle: int, count: int) -> np.ndarray:
-    """Vertices (count,) bool of the surface in those pairs `corners` (pairs, 4) that are with an obstacle."""
+    """Mask (count,) of the surface vertices that occur in a pair, of `corners` (pairs, 4), with an obstacle."""
     met = np.zeros(count, dtype=bool)
     own = corners < first_obstacle
     mixed = ~own.all(axis=1)

@@ -12,7 +12,7 @@ from pb4u.collision.box_tree import Boxes, BoxTree, boxes_meet, still_boxes, wit
 from pb4u.collision.collision_free import SMALLEST_GAP
 from pb4u.collision.crossings import self_crossings
 from pb4u.collision.jit import compiled
-from pb4u.collision.near_elements import EVERY, Asked, asked_for, meeting_leaves
+from pb4u.collision.near_elements import EVERY, Query, meeting_leaves, query_of
 from pb4u.collision.surface_tree import SurfaceTree
 
 _TOUCHING = 1e-10
@@ -41,9 +41,7 @@ class CrossingSearch:
         found, own = np.zeros(len(vertices), dtype=bool), np.arange(len(vertices)) < tree.first_obstacle
         # As wide as for a move from there, which then finds its boxes fitted.
         boxes = tree.fitted(vertices, np.zeros_like(vertices), 0.5 * SMALLEST_GAP)
-        asked, obstacles = (
-            asked_for(tree.boxes, faces, rows) for rows in (own if among is None else among & own, ~own)
-        )
+        asked, obstacles = (query_of(tree.boxes, faces, rows) for rows in (own if among is None else among & own, ~own))
         pairs = _touching_faces(vertices, faces, boxes, tree.boxes, False, self._most, asked, obstacles)
         found[faces[pairs]] = True
         return found & own
@@ -68,7 +66,7 @@ class CrossingSearch:
         """
         tree = self._tree
         points, face_boxes = still_boxes(vertices, tree.faces, 0.5 * _TOUCHING)
-        boxes, asked = tree.boxes.fitted(face_boxes), asked_for(tree.boxes, tree.faces, among)
+        boxes, asked = tree.boxes.fitted(face_boxes), query_of(tree.boxes, tree.faces, among)
         return points, _touching_faces(points, tree.faces, boxes, tree.boxes, sharing, self._most, asked, asked)
 
 
@@ -80,8 +78,8 @@ def _touching_faces(
     tree: BoxTree,
     sharing: bool,
     most: int,
-    asked: Asked,
-    others: Asked,
+    asked: Query,
+    others: Query,
 ) -> np.ndarray:
     """Faces (pairs, 2) of every pair that shares no vertex, or one where `sharing`, and is not certainly apart."""
     order, ranges, roots = tree.order, tree.ranges, tree.roots

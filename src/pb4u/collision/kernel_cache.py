@@ -1,8 +1,8 @@
 """Machine code of kernels on disk, found by what it was compiled from: edited, a kernel and its callers compile again.
 
 Numba looks at the file of a kernel alone, and at that file's place. Here a name holds a digest of the code of the
-kernel, of every kernel that it calls, in whatever file, and of the constants that they read. So no code is stale, and
-copies of the package share one folder.
+kernel, of every kernel that it calls, in whatever file, of the constants that they read, and of the names of the types
+that they take, which are in the files too. So no code is stale, and copies of the package share one folder.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import contextlib
 import functools
 import hashlib
 import os
+import pickle
 import stat
 import sys
 import time
@@ -56,7 +57,15 @@ class KernelCache:
             signature: types of the arguments.
             target: what Numba compiles for.
         """
-        return self._files.load_overload(signature, target) if is_trusted(Path(self.cache_path)) else None
+        if not is_trusted(Path(self.cache_path)):
+            return None
+        try:
+            return self._files.load_overload(signature, target)
+        except (AttributeError, EOFError, ImportError, pickle.UnpicklingError):
+            # Damaged, or of a type that is no longer there: it is compiled again, and written over.
+            with contextlib.suppress(OSError):
+                self._files.flush()
+            return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep machine code; where that cannot be, say once where it could.
@@ -105,19 +114,19 @@ def is_trusted(folder: Path) -> bool:
         folder: of machine code, absent or not.
     """
     try:
-        found = folder.lstat()
+        status = folder.lstat()
     except OSError:
         return False
-    if not stat.S_ISDIR(found.st_mode):
+    if not stat.S_ISDIR(status.st_mode):
         return False
     if not hasattr(os, "getuid"):  # Windows: folders of a user are its own
         return True
     owners = {0, os.getuid(), PACKAGE.stat().st_uid}
-    return found.st_uid in owners and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return status.st_uid in owners and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def digest(kernel: Dispatcher) -> str:
-    """Name of all that a kernel is compiled from: its code, that of its callees, and their constants.
+    """Name of all that a kernel is compiled from: its code, that of its callees, their constants and types.
 
     Args:
         kernel: whose code it is.
@@ -135,10 +144,10 @@ def _parts(kernel: Dispatcher, seen: set[Dispatcher]) -> Iterator[str]:
     function = kernel.py_func
     freedom = sorted(kernel.targetoptions.get("fastmath") or ())
     names = list(_code(function.__code__))
-    yield f"{function.__qualname__}{function.__defaults__}{freedom}{names}"
+    yield f"{function.__qualname__}{function.__defaults__}{function.__annotations__}{freedom}{names}"
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     reached = {name: cell.cell_contents for name, cell in cells} | function.__globals__
-    for name in sorted({name for _, _, named, _ in names for name in named} & reached.keys()):
+    for name in sorted({name for _, _, reads, _ in names for name in reads} & reached.keys()):
         yield from _value(name, reached[name], names, seen)
 
 
@@ -147,8 +156,8 @@ def _code(code: CodeType) -> Iterator[tuple[str, str, tuple[str, ...], tuple[str
     inner = [constant for constant in code.co_consts if isinstance(constant, CodeType)]
     constants = tuple(constant for constant in code.co_consts if not isinstance(constant, CodeType))
     yield code.co_code.hex(), repr(constants), code.co_names + code.co_freevars, code.co_varnames
-    for each in inner:
-        yield from _code(each)
+    for function in inner:
+        yield from _code(function)
 
 
 def _value(name: str, value: Any, code: list[Any], seen: set[Dispatcher]) -> Iterator[str]:
@@ -161,7 +170,7 @@ def _value(name: str, value: Any, code: list[Any], seen: set[Dispatcher]) -> Ite
         module = Path(value._defn.__code__.co_filename)
         yield f"{name}:{hashlib.sha256(module.read_bytes()).hexdigest()}"
     elif isinstance(value, ModuleType) and value.__name__.partition(".")[0] not in ("numpy", "math", "numba"):
-        attributes = {attribute for _, _, named, _ in code for attribute in named}
+        attributes = {attribute for _, _, reads, _ in code for attribute in reads}
         for attribute in sorted(attributes & vars(value).keys()):
             yield from _value(f"{name}.{attribute}", vars(value)[attribute], code, seen)
     elif isinstance(value, np.ndarray):

@@ -18,7 +18,7 @@ EVERY = 2**62
 """Most pairs of leaves of a search that gives up on no cloth."""
 
 
-class Asked(NamedTuple):
+class Query(NamedTuple):
     """What of a surface has some of its vertices.
 
     Args:
@@ -32,7 +32,7 @@ class Asked(NamedTuple):
     faces: np.ndarray
 
 
-class Way(NamedTuple):
+class Sweep(NamedTuple):
     """A move on which elements may come near.
 
     Args:
@@ -51,7 +51,7 @@ class Way(NamedTuple):
 
 
 @compiled
-def asked_for(tree: BoxTree, faces: np.ndarray, among: np.ndarray) -> Asked:
+def query_of(tree: BoxTree, faces: np.ndarray, among: np.ndarray) -> Query:
     """What of a tree has a vertex `among` (vertices,) the given ones.
 
     Args:
@@ -69,12 +69,12 @@ def asked_for(tree: BoxTree, faces: np.ndarray, among: np.ndarray) -> Asked:
             for place in range(tree.ranges[node, 0], tree.ranges[node, 1]):
                 asked = asked or asked_faces[tree.order[place]]
         asked_nodes[node] = asked
-    return Asked(among, asked_nodes, asked_faces)
+    return Query(among, asked_nodes, asked_faces)
 
 
 @compiled
 def meeting_leaves(
-    boxes: Boxes, tree: BoxTree, asked: Asked, others: Asked, parts: np.ndarray, most: int
+    boxes: Boxes, tree: BoxTree, asked: Query, others: Query, parts: np.ndarray, most: int
 ) -> np.ndarray:
     """Pairs (pairs, 2) of leaves whose boxes meet, of which one is `asked` for and the other of `others`; each once.
 
@@ -132,10 +132,10 @@ def near_elements(
     boxes: Boxes,
     tree: BoxTree,
     elements: Elements,
-    asked: Asked,
-    others: Asked,
+    asked: Query,
+    others: Query,
     parts: np.ndarray,
-    way: Way,
+    way: Sweep,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Corners (pairs, 4) of vertex and face, and of two edges, that may come near on a way and whose boxes meet.
 
@@ -218,7 +218,7 @@ def near_elements(
 
 @compiled
 def near_around(
-    listed: np.ndarray, starts: np.ndarray, vertex_face: bool, asked: np.ndarray, among: np.ndarray, way: Way
+    listed: np.ndarray, starts: np.ndarray, vertex_face: bool, asked: np.ndarray, among: np.ndarray, way: Sweep
 ) -> np.ndarray:
     """Corners (pairs, 4) of those `listed` that may come near on a way, as in `near_elements`.
 
@@ -290,7 +290,7 @@ def _apart(ends: np.ndarray, one: tuple, other: tuple, begun: float, ended: floa
 
 
 @compiled
-def _beside(face: tuple, other: tuple, way: Way) -> bool:
+def _beside(face: tuple, other: tuple, way: Sweep) -> bool:
     """Whether another face, of three corners, stays on one side of the plane of a `face`.
 
     By more than the reach from an obstacle on the `way`.

@@ -96,9 +96,9 @@ def remesh(
         length *= float(np.clip(np.sqrt(ratio), 0.7, 1.4))
         vertices, faces, locked = _isotropic(vertices, faces, locked, length, surface, rounds=3)
     vertices, faces = _polish(vertices, faces, locked, surface)
-    if not smooth and (left := float(face_areas(vertices, faces).sum()) / area) < _KEPT_AREA:
+    if not smooth and (share := float(face_areas(vertices, faces).sum()) / area) < _KEPT_AREA:
         warn(
-            f"Remeshed to {len(faces)} triangles only {100 * left:.0f} % of the area is left: layers nearer to each "
+            f"Remeshed to {len(faces)} triangles only {100 * share:.0f} % of the area is left: layers nearer to each "
             "other than an edge, such as turned-up cuffs, are lost; ask for more triangles, or keep the mesh."
         )
     result = Topology(faces, len(vertices))
@@ -176,13 +176,13 @@ def _flip_until_settled(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def _relax_on(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray, surface: Surface, passes: int) -> np.ndarray:
     border = Topology(faces, len(vertices)).border_vertices
     for _ in range(passes):
-        moved = relax(vertices, faces, locked)
-        normals = cornerwise_normals(moved, faces)
-        moved[~border] = surface.project(moved[~border], normals[~border])
+        relaxed = relax(vertices, faces, locked)
+        normals = cornerwise_normals(relaxed, faces)
+        relaxed[~border] = surface.project(relaxed[~border], normals[~border])
         if border.any():
-            moved[border] = surface.project_border(moved[border])
-        moved[locked] = vertices[locked]
-        vertices = moved
+            relaxed[border] = surface.project_border(relaxed[border])
+        relaxed[locked] = vertices[locked]
+        vertices = relaxed
     return vertices
 
 

@@ -18,7 +18,7 @@ from pb4u.collision.box_tree import Boxes, BoxTree, boxes_of, fill_boxes, fit_no
 from pb4u.collision.element_distance import Reaches, may_meet
 from pb4u.collision.element_pairs import ElementPairs, rest_distances
 from pb4u.collision.lasting_pairs import Neighbourhood, lasting_pairs
-from pb4u.collision.near_elements import Asked, Way, asked_for, beside, near_around, near_elements
+from pb4u.collision.near_elements import Query, Sweep, beside, near_around, near_elements, query_of
 from pb4u.collision.surface_elements import Elements
 from pb4u.threads import parallel_map
 
@@ -111,20 +111,20 @@ class SurfaceTree:
         return np.arange(len(self.rest)) < self.first_obstacle
 
     @cached_property
-    def _own(self) -> Asked:
-        return self._asked(self._everywhere)
+    def _own(self) -> Query:
+        return self._query(self._everywhere)
 
     @cached_property
-    def _obstacles(self) -> Asked:
-        return self._asked(~self._everywhere)
+    def _obstacles(self) -> Query:
+        return self._query(~self._everywhere)
 
     @cached_property
-    def _all(self) -> Asked:
-        return self._asked(np.ones(len(self.rest), dtype=bool))
+    def _all(self) -> Query:
+        return self._query(np.ones(len(self.rest), dtype=bool))
 
-    def _asked(self, among: np.ndarray) -> Asked:
-        asked: Asked = asked_for(self.boxes, self.faces, among)
-        return asked
+    def _query(self, among: np.ndarray) -> Query:
+        query: Query = query_of(self.boxes, self.faces, among)
+        return query
 
     def pairs(
         self,
@@ -219,13 +219,13 @@ class SurfaceTree:
             return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
         boxes = self.fitted(vertices, moves, 0.5 * reaches.cloth, room)
         mixed, of_obstacles = not among[: self.first_obstacle].any(), among[self.first_obstacle :].any()
-        asked = self._own if mixed or among is self._everywhere else self._asked(among)
+        asked = self._own if mixed or among is self._everywhere else self._query(among)
         others = self._obstacles if mixed else self._all
         whole = np.count_nonzero(asked.vertices) > _FEW
         pieces = _PIECES if whole else 1
         parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
         # Cloth on skin lies along it: planes of its faces keep most apart whose boxes meet.
-        way = Way(vertices, moves, np.concatenate([vertices, vertices + moves], axis=1), reaches, 2.0 * room)
+        way = Sweep(vertices, moves, np.concatenate([vertices, vertices + moves], axis=1), reaches, 2.0 * room)
         searches: list[Callable[[], Any]] = [
             partial(near_elements, boxes, self.boxes, self._elements, asked, others, part, way) for part in parts
         ]

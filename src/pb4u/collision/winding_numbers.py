@@ -28,7 +28,7 @@ def winding_numbers(surface: Searched, points: np.ndarray) -> np.ndarray:
         points: (points, 3) [m], none of them on the surface.
     """
     children, bottoms, corners, boxes = surface.children, surface.bottoms, surface.corners, surface.boxes
-    found, stack = np.zeros(len(points), dtype=np.int64), np.empty(_DEEPEST, dtype=np.int64)
+    numbers, stack = np.zeros(len(points), dtype=np.int64), np.empty(_DEEPEST, dtype=np.int64)
     meets = np.empty(WIDTH, dtype=np.bool_)
     for row in range(len(points)):
         x, y, z = points[row]
@@ -44,11 +44,11 @@ def winding_numbers(surface: Searched, points: np.ndarray) -> np.ndarray:
                 if not meets[lane]:
                     continue
                 if node < bottoms:
-                    found[row] += _through(corners[first + lane], x, y, z)
+                    numbers[row] += _through(corners[first + lane], x, y, z)
                 else:
                     stack[depth] = first + lane
                     depth += 1
-    return found
+    return numbers
 
 
 @compiled

@@ -53,8 +53,8 @@ class MovingStart(FirstFrame):
         pushed = pushed_out(skinned, timeline.pose(1), 1.0)
         begun = untangled(timeline, method, State(pushed, torch.zeros_like(skinned), 1))
         yield Taken(begun)
-        moved, last_move = take(replace(timeline.step_from(begun), dt=SETTLING_DT), method)
-        yield Taken(State(moved.positions, torch.zeros_like(moved.velocities), moved.frame), last_move)
+        after, last_move = take(replace(timeline.step_from(begun), dt=SETTLING_DT), method)
+        yield Taken(State(after.positions, torch.zeros_like(after.velocities), after.frame), last_move)
 
 
 class SkinnedStart(FirstFrame):

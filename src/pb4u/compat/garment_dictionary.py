@@ -101,10 +101,10 @@ def _chosen(entry: DictionaryEntry, content: Any) -> Mapping[str, Any]:
         raise InputError(f"{path} holds no garments; it holds {', '.join(sorted(map(str, content))[:10])}.")
     if name is None and len(garments) > 1:
         raise InputError(f"{path} holds several garments; name one as {path}:{min(garments)}. {_listed(garments)}")
-    wanted = next(iter(garments)) if name is None else name.partition("/")[0]
-    if wanted not in garments:
-        raise InputError(f"{path} holds no garment {wanted}. {_listed(garments)}")
-    return _of_resolution(entry, garments[wanted])
+    garment = next(iter(garments)) if name is None else name.partition("/")[0]
+    if garment not in garments:
+        raise InputError(f"{path} holds no garment {garment}. {_listed(garments)}")
+    return _of_resolution(entry, garments[garment])
 
 
 def _of_resolution(entry: DictionaryEntry, fields: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -112,8 +112,8 @@ def _of_resolution(entry: DictionaryEntry, fields: Mapping[str, Any]) -> Mapping
     if "faces" in fields:
         return fields
     levels = [level for level in _RESOLUTIONS if isinstance(fields.get(level), Mapping)]
-    wanted = (entry.name or "").rpartition("/")[2]
-    chosen = wanted if wanted in levels else next(iter(levels), None)
+    level = (entry.name or "").rpartition("/")[2]
+    chosen = level if level in levels else next(iter(levels), None)
     if chosen is None:
         raise InputError(f'{entry.path}, garment {entry.title} lacks "faces"; it is no garment of the released code.')
     return {**fields, **fields[chosen]}
@@ -130,19 +130,19 @@ def _coarse_edges(where: str, levels: Any, centre: int | None, count: int) -> tu
     by_centre = {int(vertex): edges for vertex, edges in levels.items()}
     centre = next(iter(by_centre)) if centre is None else centre
     if centre not in by_centre:
-        known = ", ".join(map(str, sorted(by_centre)[:20]))
-        raise InputError(f"{where} has no coarse levels around {centre}; it has them around {known}.")
-    found = {int(level): np.asarray(edges) for level, edges in by_centre[centre].items()}
-    if sorted(found) != list(range(len(found))):
-        raise InputError(f"{where} has coarse levels {sorted(found)}, where they count from 0 without a gap.")
+        centres = ", ".join(map(str, sorted(by_centre)[:20]))
+        raise InputError(f"{where} has no coarse levels around {centre}; it has them around {centres}.")
+    edges_of = {int(level): np.asarray(edges) for level, edges in by_centre[centre].items()}
+    if sorted(edges_of) != list(range(len(edges_of))):
+        raise InputError(f"{where} has coarse levels {sorted(edges_of)}, where they count from 0 without a gap.")
     # A level without edges is written as floating-point numbers of no shape.
-    by_level = {str(k): edges if edges.size else np.zeros((0, 2), dtype=np.int64) for k, edges in found.items()}
+    by_level = {str(k): edges if edges.size else np.zeros((0, 2), dtype=np.int64) for k, edges in edges_of.items()}
     layout: Layout = {level: ("iu", (None, 2)) for level in by_level}
     arrays, _ = _read(where, by_level, layout, {})
     for edges in arrays.values():
         if edges.size and not 0 <= edges.min() <= edges.max() < count:
             raise InputError(f"{where}: a coarse edge points outside of its {count} vertices.")
-    return tuple(arrays[str(level)].astype(np.int64) for level in range(len(found)))
+    return tuple(arrays[str(level)].astype(np.int64) for level in range(len(edges_of)))
 
 
 def _skinning(where: str, content: object, count: int) -> GarmentSkinning:

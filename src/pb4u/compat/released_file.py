@@ -84,12 +84,12 @@ class ReleasedFile:
         if key not in self.weights:
             raise InputError(f"{self.path} lacks {key}; it is half a checkpoint, or of another project.")
         self.used.add(key)
-        found = self.weights[key]
-        if columns is not None and (found.ndim != 2 or found.shape[1] != columns):
+        tensor = self.weights[key]
+        if columns is not None and (tensor.ndim != 2 or tensor.shape[1] != columns):
             raise InputError(
-                f"{self.path} has {key} of the shape {tuple(found.shape)}, where {columns} columns belong."
+                f"{self.path} has {key} of the shape {tuple(tensor.shape)}, where {columns} columns belong."
             )
-        return found
+        return tensor
 
     def mlp(self, prefix: str, layers: str = ".0.layers.") -> dict[str, Tensor]:
         """The MLP called `prefix` by our names; with a LayerNorm unless `layers` says that none ends it.
@@ -99,14 +99,14 @@ class ReleasedFile:
             layers: what stands between the prefix and the number of a layer.
         """
         prefix = NETWORK + prefix
-        named = {
+        layer_weights = {
             f"{ours}.{part}": self.tensor(f"{prefix}{layers}{theirs}.{part}")
             for theirs, ours in _LAYERS.items()
             for part in ("weight", "bias")
         }
         if layers.startswith(".0"):
-            named |= {f"norm.{part}": self.tensor(f"{prefix}.1.{part}") for part in ("weight", "bias")}
-        return named
+            layer_weights |= {f"norm.{part}": self.tensor(f"{prefix}.1.{part}") for part in ("weight", "bias")}
+        return layer_weights
 
     def statistics(self, name: str) -> tuple[Tensor, Tensor]:
         """Mean and spread (columns,) float64 of a released normaliser.
@@ -136,10 +136,10 @@ class ReleasedFile:
         Raises:
             InputError: they do not count from 0 without a gap.
         """
-        found = {int(match[1]) for key in self.weights if (match := re.match(re.escape(NETWORK) + pattern, key))}
-        if found != set(range(len(found))):
-            raise InputError(f"{self.path} lacks a block between its blocks {sorted(found)}.")
-        return len(found)
+        numbers = {int(match[1]) for key in self.weights if (match := re.match(re.escape(NETWORK) + pattern, key))}
+        if numbers != set(range(len(numbers))):
+            raise InputError(f"{self.path} lacks a block between its blocks {sorted(numbers)}.")
+        return len(numbers)
 
     def setting(self, *names: str, default: Any) -> Any:
         """A number of the settings.
@@ -148,17 +148,17 @@ class ReleasedFile:
             names: path to it; "*" is the only entry at its level.
             default: returned where the file says nothing.
         """
-        found: Any = self.settings
+        value: Any = self.settings
         for name in names:
-            if isinstance(found, Mapping) and name == "*" and len(found) == 1:
-                found = next(iter(found.values()))
-            elif isinstance(found, Mapping) and name in found:
-                found = found[name]
+            if isinstance(value, Mapping) and name == "*" and len(value) == 1:
+                value = next(iter(value.values()))
+            elif isinstance(value, Mapping) and name in value:
+                value = value[name]
             else:
                 return default
-        if isinstance(default, (int, float)) and (isinstance(found, bool) or not isinstance(found, (int, float))):
+        if isinstance(default, (int, float)) and (isinstance(value, bool) or not isinstance(value, (int, float))):
             return default  # an interpolation that was left as text
-        return found
+        return value
 
 
 def prefixed(prefix: str, mlp: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -171,18 +171,18 @@ def prefixed(prefix: str, mlp: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {f"{prefix}.{name}": value for name, value in mlp.items()}
 
 
-def reordered(weight: Tensor, given: Sequence[str], wanted: Sequence[str]) -> Tensor:
+def reordered(weight: Tensor, names: Sequence[str], order: Sequence[str]) -> Tensor:
     """The first layer of an MLP of parts of one width, its parts in another order.
 
     Args:
         weight: (width, columns).
-        given: names of the parts in the order of the columns.
-        wanted: the same names in the order wanted.
+        names: names of the parts in the order of the columns.
+        order: the same names in the order wanted.
 
     Raises:
         InputError: its columns are not those of as many parts.
     """
-    if weight.shape[1] % len(given):
-        raise InputError(f"A block reads {weight.shape[1]} columns, which are not {len(given)} latents.")
-    parts = dict(zip(given, weight.chunk(len(given), dim=1), strict=True))
-    return torch.cat([parts[name] for name in wanted], dim=1)
+    if weight.shape[1] % len(names):
+        raise InputError(f"A block reads {weight.shape[1]} columns, which are not {len(names)} latents.")
+    parts = dict(zip(names, weight.chunk(len(names), dim=1), strict=True))
+    return torch.cat([parts[name] for name in order], dim=1)

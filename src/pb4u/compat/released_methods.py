@@ -76,9 +76,9 @@ def _with_world_edges(file: ReleasedFile, preset: Any) -> Any:
 
 
 def _require_steps(file: ReleasedFile, blocks: int) -> None:
-    told = file.setting("model", "*", "message_passing_steps", default=blocks)
-    if told != blocks or not blocks:
-        raise InputError(f"{file.path} holds {blocks} blocks, where its settings speak of {told}.")
+    steps = file.setting("model", "*", "message_passing_steps", default=blocks)
+    if steps != blocks or not blocks:
+        raise InputError(f"{file.path} holds {blocks} blocks, where its settings speak of {steps}.")
 
 
 def _pb4u_configuration(file: ReleasedFile, preset: Any) -> NetworkConfiguration:
@@ -141,9 +141,9 @@ def _hood_configuration(file: ReleasedFile, preset: Any, prefix: str, first: int
     repeats = tuple(count for _, count in _hood_stages(file, prefix, first))
     if not all(repeats):
         raise InputError(f"{file.path} lacks one of HOOD's {len(SCHEDULE)} stages.")
-    made, told = _architecture(repeats), file.setting("model", "*", "architecture", default=None)
-    if told is not None and told != made:
-        raise InputError(f"{file.path} has the schedule {told} in its settings, where its blocks are those of {made}.")
+    ours, text = _architecture(repeats), file.setting("model", "*", "architecture", default=None)
+    if text is not None and text != ours:
+        raise InputError(f"{file.path} has the schedule {text} in its settings, where its blocks are those of {ours}.")
     return replace(_with_world_edges(file, preset), repeats=repeats)
 
 
@@ -157,9 +157,9 @@ def _architecture(repeats: Sequence[int]) -> str:
 
 
 def _contourcraft_configuration(file: ReleasedFile, preset: Any) -> NetworkConfiguration:
-    blocks, made = file.count(r"levels\.0\.(\d+)\."), file.setting("model", "*", "architecture", default=None)
-    if not blocks or made not in (None, "|".join(["f,c3"] * blocks)):
-        raise InputError(f"{file.path} has the schedule {made} in its settings, which is not that of {blocks} blocks.")
+    blocks, text = file.count(r"levels\.0\.(\d+)\."), file.setting("model", "*", "architecture", default=None)
+    if not blocks or text not in (None, "|".join(["f,c3"] * blocks)):
+        raise InputError(f"{file.path} has the schedule {text} in its settings, which is not that of {blocks} blocks.")
     radius = float(file.setting("model", "*", "collision_radius", default=preset.radius))
     body_radius = float(file.setting("model", "*", "body_collision_radius", default=preset.world_edges.radius))
     return replace(preset, blocks=blocks, radius=radius, world_edges=replace(preset.world_edges, radius=body_radius))

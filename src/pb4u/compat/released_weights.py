@@ -120,14 +120,14 @@ def _method(file: ReleasedFile, name: str | None) -> ReleasedMethod:
         refuse_unknown("released network", [name], METHODS)
         return METHODS[name]
     model = file.settings.get("model") if isinstance(file.settings, Mapping) else None
-    named = next(iter(model)) if isinstance(model, Mapping) and len(model) == 1 else None
+    title = next(iter(model)) if isinstance(model, Mapping) and len(model) == 1 else None
     fitting = [
         method
         for method in METHODS.values()
-        if (named is None or named in method.models) and any(method.marker in key for key in file.weights)
+        if (title is None or title in method.models) and any(method.marker in key for key in file.weights)
     ]
     if not fitting:
-        hint = f"its settings say {named}, and its" if named else "its"
+        hint = f"its settings say {title}, and its" if title else "its"
         raise InputError(f"{file.path} is of no known method: {hint} keys are those of none; name one with --method.")
     return fitting[0]
 
@@ -139,22 +139,22 @@ def _material_range(file: ReleasedFile) -> MaterialRange:
         _LAMBDA: (3535.414406069427, 93333.73508005822),
         _BENDING: (6.370782056371576e-08, 0.0013139737991266374),
     }
-    found = {
+    ranges = {
         name: tuple(
             float(file.setting("runner", "*", "material", f"{name}_{end}", default=value))
             for end, value in zip(("min", "max"), limits, strict=True)
         )
         for name, limits in published.items()
     }
-    for name, (low, high) in found.items():
+    for name, (low, high) in ranges.items():
         if not 0.0 < low <= high < float("inf"):
             raise InputError(f"{file.path} was trained with {name} from {low:g} to {high:g}, which is no range.")
-    return MaterialRange(found["density"], found[_MU], found[_LAMBDA], found[_BENDING], margin=None)  # type: ignore[arg-type]
+    return MaterialRange(ranges["density"], ranges[_MU], ranges[_LAMBDA], ranges[_BENDING], margin=None)  # type: ignore[arg-type]
 
 
 def _record(file: ReleasedFile, method: ReleasedMethod) -> TrainingRecord:
     state = file.optimiser.get("state") if isinstance(file.optimiser, Mapping) else None
-    steps = [float(each["step"]) for each in state.values() if "step" in each] if isinstance(state, Mapping) else []
+    steps = [float(entry["step"]) for entry in state.values() if "step" in entry] if isinstance(state, Mapping) else []
     dt = float(file.setting("runner", "*", "regular_ts", default=1.0 / 30.0))
     if not 0.0 < dt < float("inf"):
         raise InputError(f"{file.path} was trained with a time step of {dt:g} s.")
@@ -221,13 +221,13 @@ class _Columns:
             )
 
     def fold(
-        self, mlp: dict[str, Tensor], wanted: Iterable[str], normalised_by: _Columns | None = None
+        self, mlp: dict[str, Tensor], names: Iterable[str], normalised_by: _Columns | None = None
     ) -> dict[str, Tensor]:
         """The encoder with the columns that are wanted, in their order and sign.
 
         Args:
             mlp: as the file has it.
-            wanted: names of our columns.
+            names: names of our columns.
             normalised_by: whose statistics our normaliser has; these by default.
         """
         weight, bias = mlp["first.weight"], mlp["first.bias"]
@@ -237,7 +237,7 @@ class _Columns:
             )
         parts = []
         other = normalised_by or self
-        for name in map(_theirs, wanted):
+        for name in map(_theirs, names):
             if name in _LABELS:
                 label, key = _LABELS[name]
                 rows = self.embedding(label, self.file.tensor(key))
@@ -267,9 +267,9 @@ class _Columns:
                 spread.append(torch.ones(feature.width, dtype=torch.float64))
                 continue
             place, sign = self.places[_theirs(feature.name)], self.signs[_theirs(feature.name)]
-            known = feature.normalised and place.stop <= len(self.mean)
-            mean.append(sign * self.mean[place] if known else torch.zeros(feature.width, dtype=torch.float64))
-            spread.append(self.spread[place] if known else torch.ones(feature.width, dtype=torch.float64))
+            is_normalised = feature.normalised and place.stop <= len(self.mean)
+            mean.append(sign * self.mean[place] if is_normalised else torch.zeros(feature.width, dtype=torch.float64))
+            spread.append(self.spread[place] if is_normalised else torch.ones(feature.width, dtype=torch.float64))
         return _normaliser_state(table, torch.cat(mean), torch.cat(spread))
 
 
@@ -298,8 +298,8 @@ def _kinds(network: torch.nn.Module) -> list[tuple[str, ...]]:
 
 
 def _dropped(file: ReleasedFile, method: ReleasedMethod) -> tuple[str, ...]:
-    left = sorted(file.weights.keys() - file.used)
-    foreign = [key for key in left if not any(re.match(pattern, key) for pattern in method.unread)]
+    unread = sorted(file.weights.keys() - file.used)
+    foreign = [key for key in unread if not any(re.match(pattern, key) for pattern in method.unread)]
     if foreign:
         raise InputError(f"{file.path} holds {foreign[0]}, which {method.preset} has no place for.")
-    return tuple(left)
+    return tuple(unread)

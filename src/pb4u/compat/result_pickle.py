@@ -85,7 +85,7 @@ def read_result(path: Path) -> Trajectory:
         },
     )
     velocities = FPS * np.diff(positions, axis=0, prepend=positions[:1])
-    frames = (Frame(*each) for each in zip(positions, velocities, body, strict=True))
+    frames = (Frame(*arrays) for arrays in zip(positions, velocities, body, strict=True))
     return Trajectory.collect(header, frames)
 
 

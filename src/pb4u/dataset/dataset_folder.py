@@ -64,7 +64,7 @@ class DatasetFolder(JobFolder):
             self._in_shards = _shard_members(path / SHARDS)
 
     def result(self, job: Any) -> dict[str, Any] | None:
-        """The record of a clip; None where it, or its trajectory, is not there whole.
+        """The record of a clip; None where it or its trajectory is missing or damaged.
 
         Args:
             job: the clip.
@@ -91,14 +91,14 @@ class DatasetFolder(JobFolder):
             Pb4uError: the disk refuses.
         """
         # In the order of their addresses, which is as good as shuffled and the same in every run.
-        done = {job.key: job for job in jobs if (self.path / _loose(job.key)).is_file() and self.result(job)}
-        loose = [done[key] for key in sorted(done)]
+        finished = {job.key: job for job in jobs if (self.path / _loose(job.key)).is_file() and self.result(job)}
+        loose = [finished[key] for key in sorted(finished)]
         for key in self._in_shards:
             (self.path / _loose(key)).unlink(missing_ok=True)
         if size := self._clips_per_shard:
-            left = [job for job in loose if job.key not in self._in_shards]
-            for first in range(0, len(left), size):
-                self._write_shard(left[first : first + size])
+            unpacked = [job for job in loose if job.key not in self._in_shards]
+            for first in range(0, len(unpacked), size):
+                self._write_shard(unpacked[first : first + size])
 
     def _write_shard(self, jobs: Sequence[RunJob]) -> None:
         last = max((int(name[6:-4]) for name in self._in_shards.values()), default=-1)
@@ -128,12 +128,12 @@ def _loose(key: str) -> str:
 
 
 def _shard_members(folder: Path) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for shard in sorted(each for each in folder.glob("shard-*.tar") if re.fullmatch(r"shard-\d+\.tar", each.name)):
+    shards: dict[str, str] = {}
+    for shard in sorted(file for file in folder.glob("shard-*.tar") if re.fullmatch(r"shard-\d+\.tar", file.name)):
         try:
             with tarfile.open(shard, "r:") as archive:
                 names = archive.getnames()
         except tarfile.TarError as error:
             raise InputError(f"{shard} is no shard that can be read: {error}; move it away.") from None
-        found |= {name.removesuffix(".npz"): shard.name for name in names if name.endswith(".npz")}
-    return found
+        shards |= {name.removesuffix(".npz"): shard.name for name in names if name.endswith(".npz")}
+    return shards

@@ -63,8 +63,8 @@ def _earlier_rows(folder: DatasetFolder, keys: Collection[str]) -> list[dict[str
     if not (folder.path / INDEX).is_file():
         return []
     rows = pyarrow.parquet.read_table(folder.path / INDEX).to_pylist()
-    kept = [(row, folder.place(row["key"])) for row in rows if row["key"] not in keys]
-    return [{**row, "file": place.file, "member": place.member} for row, place in kept if place is not None]
+    places = [(row, folder.place(row["key"])) for row in rows if row["key"] not in keys]
+    return [{**row, "file": place.file, "member": place.member} for row, place in places if place is not None]
 
 
 def _titles(jobs: Sequence[RunJob]) -> dict[str, str]:
@@ -93,7 +93,7 @@ def _row(folder: DatasetFolder, job: RunJob, labels: Mapping[str, Any]) -> dict[
         return {**row, **labels, "failure": failure.sentence if failure else None}
     row |= {"file": place.file, "member": place.member, **result, **labels}
     row |= _measured(result["metrics"]) | _measured(result["metrics_paper"], "paper_")
-    return {**row, "garments": [each | _measured(each["metrics"]) for each in result["garments"]]}
+    return {**row, "garments": [garment | _measured(garment["metrics"]) for garment in result["garments"]]}
 
 
 def _measured(tables: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -105,7 +105,7 @@ def _schema() -> pyarrow.Schema:
     """Name and type of every column; counts and numbers are SI, as in the report of `pb4u simulate`."""
     import pyarrow as pa
 
-    text, whole, number, switch = pa.string(), pa.int64(), pa.float64(), pa.bool_()
+    text, integer, number, switch = pa.string(), pa.int64(), pa.float64(), pa.bool_()
 
     def measured(names: Sequence[str], prefix: str = "") -> dict[str, pa.DataType]:
         kinds = {"mean": number, "max": number, "per_frame": pa.list_(number)}
@@ -113,20 +113,20 @@ def _schema() -> pyarrow.Schema:
 
     garment = {
         "name": text,
-        "vertices": whole,
-        "triangles": whole,
+        "vertices": integer,
+        "triangles": integer,
         **dict.fromkeys(ISOTROPIC, number),
         "diverged": switch,
-        "diverged_at": whole,
+        "diverged_at": integer,
         **measured((*ENERGIES, *STRAINS)),
     }
-    worn = {entry.label: entry for entry in described(WornGarment).values()}
+    entries = {entry.label: entry for entry in described(WornGarment).values()}
     columns = {
         **dict.fromkeys(("key", "status", "failure", "file", "member"), text),
-        **{label: text if each.kind == "name" else pa.list_(_column(each.type)) for label, each in worn.items()},
-        **{each.label: _column(each.type) for each in described(Run).values() if each.label},
-        **dict.fromkeys(("propagation_steps", "frames", "triangles", "vertices", "solver_iterations"), whole),
-        **dict.fromkeys(("unsolved_steps", "retried_steps", "failed_at", "diverged_at", "bytes"), whole),
+        **{label: text if entry.kind == "name" else pa.list_(_column(entry.type)) for label, entry in entries.items()},
+        **{entry.label: _column(entry.type) for entry in described(Run).values() if entry.label},
+        **dict.fromkeys(("propagation_steps", "frames", "triangles", "vertices", "solver_iterations"), integer),
+        **dict.fromkeys(("unsolved_steps", "retried_steps", "failed_at", "diverged_at", "bytes"), integer),
         **dict.fromkeys(("half", "diverged"), switch),
         **dict.fromkeys(("mean_edge_length", "ms_per_step", "seconds"), number),
         "notes": pa.list_(text),

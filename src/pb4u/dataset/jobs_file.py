@@ -77,8 +77,8 @@ def _run(number: int, entries: Mapping[str, Any], folder: Path, scenes: dict[Pat
             described = scenes[file]
         return described.with_entries(changed, folder)
     except InputError as error:
-        told = ", ".join(f"{name} = {value}" for name, value in list(entries.items())[:_TOLD])
-        raise InputError(f"clip {number} ({told}): {error}") from None
+        values = ", ".join(f"{name} = {value}" for name, value in list(entries.items())[:_TOLD])
+        raise InputError(f"clip {number} ({values}): {error}") from None
 
 
 def _described_clips(tables: dict[str, Any]) -> tuple[int, Iterator[dict[str, Any]]]:
@@ -86,10 +86,10 @@ def _described_clips(tables: dict[str, Any]) -> tuple[int, Iterator[dict[str, An
     fixed = require_entries("[fixed]", tables.get("fixed", {}), _KNOWN)
     varied = require_entries("[product]", tables.get("product", {}), _KNOWN)
     lists = {name: _choices(name, value) for name, value in varied.items()}
-    listed = tables.get("clips", [])
-    if not isinstance(listed, list):
+    clip_tables = tables.get("clips", [])
+    if not isinstance(clip_tables, list):
         raise InputError("each clip is a section of its own, written [[clips]].")
-    singles = [require_entries("[[clips]]", each, _KNOWN) for each in listed]
+    singles = [require_entries("[[clips]]", clip, _KNOWN) for clip in clip_tables]
     for name in lists:
         if name in fixed:
             raise InputError(f"{name} stands in [fixed] and in [product]; leave it in one.")
@@ -99,8 +99,8 @@ def _described_clips(tables: dict[str, Any]) -> tuple[int, Iterator[dict[str, An
         if lists:
             for values in product(*lists.values()):
                 yield {**fixed, **dict(zip(lists, values, strict=True))}
-        for each in singles:
-            yield {**fixed, **each}
+        for clip in singles:
+            yield {**fixed, **clip}
 
     return products + len(singles), clips()
 
@@ -108,7 +108,7 @@ def _described_clips(tables: dict[str, Any]) -> tuple[int, Iterator[dict[str, An
 def _choices(name: str, value: Any) -> Sequence[Any]:
     """The values of an entry of the product; seeds may be a range."""
     if name == "seed" and isinstance(value, dict):
-        if set(value) != {"first", "count"} or not all(is_whole(each) for each in value.values()):
+        if set(value) != {"first", "count"} or not all(is_whole(bound) for bound in value.values()):
             raise InputError(f"seeds are a list, or {{ first = 0, count = 10 }} in whole numbers, not {value!r}.")
         return range(value["first"], value["first"] + value["count"])
     if not isinstance(value, list):

@@ -55,7 +55,7 @@ def plan_clips(runs: Sequence[Run], half: bool, say: Callable[[str], None]) -> t
 
 
 def together(jobs: Sequence[RunJob]) -> list[RunJob | JobPack]:
-    """The clips in packs, where a card takes their steps whole: launches are the same for many as for one.
+    """The clips in packs, where a GPU computes whole steps: a pack needs no more kernel launches than one clip.
 
     Args:
         jobs: the clips.
@@ -70,19 +70,19 @@ def together(jobs: Sequence[RunJob]) -> list[RunJob | JobPack]:
     for job in jobs:
         packs = job.device == "cuda" and on_card(job.run.options)
         alike.setdefault((job.run.options, job.weights) if packs else job, []).append(job)
-    made: list[RunJob | JobPack] = []
+    batches: list[RunJob | JobPack] = []
     for group in alike.values():
         chunks = (tuple(group[first : first + MOST_TOGETHER]) for first in range(0, len(group), MOST_TOGETHER))
-        made += [chunk[0] if len(chunk) == 1 else JobPack(chunk) for chunk in chunks]
-    return made
+        batches += [chunk[0] if len(chunk) == 1 else JobPack(chunk) for chunk in chunks]
+    return batches
 
 
 def _named(run: Run) -> str:
     """Entries that describe a clip, defaults left out: for the message where it cannot be planned."""
-    garments = (" in ".join((each.name, *map(str, each.materials.values()))) for each in run.garments)
+    garments = (" in ".join((garment.name, *map(str, garment.materials.values()))) for garment in run.garments)
     others = {name: getattr(run, name) for name in ("body", "motion", "crop", "clip", "model", "seed")}
-    told = (f"{name} = {value}" for name, value in others.items() if value != getattr(Run(), name))
-    return ", ".join(["+".join(garments), *told])
+    changes = (f"{name} = {value}" for name, value in others.items() if value != getattr(Run(), name))
+    return ", ".join(["+".join(garments), *changes])
 
 
 def footprints(jobs: Iterable[RunJob]) -> list[int]:
@@ -112,7 +112,7 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
             how = (scene.fps, scene.recorded_fps, scene.as_recorded)
             frames = own_frames or recorded(moves, scene.crop, *how) or DEFAULT_FRAMES
         frames += scene.led_frames if scene.keep_lead_in else 0
-        faces = [each.triangles or triangles(each) for each in scene.garments]
+        faces = [garment.triangles or triangles(garment) for garment in scene.garments]
         # A sheet has half as many vertices as triangles, and half as many more as its borders have edges.
         vertices = sum(count / 2 + 1.2 * count**0.5 for count in faces)
         number = 2 if job.keep == "half" else 4

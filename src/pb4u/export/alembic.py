@@ -85,16 +85,16 @@ def _write(trajectory: Trajectory, path: Path) -> None:
     # The library crashes on a sampling that is handed to a mesh; the archive takes it, and meshes name its index.
     sampling = archive.addTimeSampling(AbcCoreAbstract.TimeSampling(1.0 / fps, 0.0))
     top = archive.getTop()
-    worn = pieces(header)
-    body_name, *names = names_apart(["Body", *(piece.name.replace("/", " ") for piece in worn)], " ")
+    cloths = pieces(header)
+    body_name, *names = names_apart(["Body", *(piece.name.replace("/", " ") for piece in cloths)], " ")
     garments = []
     looks = cloth_parts(header)
-    for name, piece in zip(names, worn, strict=True):
-        own = piece.header
-        mesh = _Mesh(top, name, own.outlines, own.faces, own.uvs, sampling)
+    for name, piece in zip(names, cloths, strict=True):
+        section = piece.header
+        mesh = _Mesh(top, name, section.outlines, section.faces, section.uvs, sampling)
         parts = piece.looks(looks)
         if len(parts) > 1:
-            of_polygon = part_of_polygon(own, parts)
+            of_polygon = part_of_polygon(section, parts)
             for k, part in enumerate(parts):
                 mesh.name_faces(part.name.replace("/", " "), np.flatnonzero(of_polygon == k))
         garments.append((piece.vertices, mesh))

@@ -64,10 +64,10 @@ def bake_bones(positions: np.ndarray, bones: int, progress: Progress = no_progre
     weights[np.arange(len(rest)), cluster] = 1.0
     rotations = np.tile(np.eye(3), (len(paths), bones, 1, 1))
     shifts = np.zeros((len(paths), bones, 3))
-    for done in range(_ROUNDS):
+    for rounds in range(_ROUNDS):
         _fit_bones(paths, weights, rotations, shifts)
         weights = _fit_weights(paths, rotations, shifts)
-        progress(done + 1, _ROUNDS)
+        progress(rounds + 1, _ROUNDS)
     joints = np.argsort(-weights, axis=1, kind="stable")[:, :_INFLUENCES]
     shares = np.take_along_axis(weights, joints, axis=1)
     unused = (0, 0), (0, _INFLUENCES - joints.shape[1])
@@ -92,14 +92,14 @@ def _skinned(rest: np.ndarray, weights: np.ndarray, rotations: np.ndarray, shift
 def _fit_bones(paths: np.ndarray, weights: np.ndarray, rotations: np.ndarray, shifts: np.ndarray) -> None:
     """Move each bone, in place, to where it leaves the least error beside the others (section 4.2 of the source)."""
     rest = paths[0]
-    left = np.stack([path - _skinned(rest, weights, *at) for path, *at in zip(paths, rotations, shifts, strict=True)])
+    error = np.stack([path - _skinned(rest, weights, *at) for path, *at in zip(paths, rotations, shifts, strict=True)])
     for bone, weight in enumerate(weights.T):
-        own = np.flatnonzero(weight > 0.0)
-        if not len(own):
+        rows = np.flatnonzero(weight > 0.0)
+        if not len(rows):
             continue
-        w, p = weight[own], rest[own]
-        moved = np.einsum("tij,vj->tvi", rotations[:, bone], p) + shifts[:, bone, None]
-        target = left[:, own] + w[:, None] * moved
+        w, p = weight[rows], rest[rows]
+        skinned = np.einsum("tij,vj->tvi", rotations[:, bone], p) + shifts[:, bone, None]
+        target = error[:, rows] + w[:, None] * skinned
         total = (w**2).sum()
         middle = (w**2) @ p / total
         goal = np.einsum("v,tvi->ti", w, target) / total
@@ -109,7 +109,7 @@ def _fit_bones(paths: np.ndarray, weights: np.ndarray, rotations: np.ndarray, sh
         u[:, :, 2] *= sign[:, None]
         rotations[:, bone] = np.einsum("tij,tjk->tki", u, vt)
         shifts[:, bone] = goal - rotations[:, bone] @ middle
-        left[:, own] = target - w[:, None] * (np.einsum("tij,vj->tvi", rotations[:, bone], p) + shifts[:, bone, None])
+        error[:, rows] = target - w[:, None] * (np.einsum("tij,vj->tvi", rotations[:, bone], p) + shifts[:, bone, None])
 
 
 def _fit_weights(paths: np.ndarray, rotations: np.ndarray, shifts: np.ndarray) -> np.ndarray:
@@ -123,8 +123,8 @@ def _fit_weights(paths: np.ndarray, rotations: np.ndarray, shifts: np.ndarray) -
         for k, one in enumerate(off.reshape(len(rest), -1, bones)):
             near = np.argsort((one**2).sum(axis=0))[:_CANDIDATES]
             share = _simplex(one[:, near])
-            kept = np.argsort(-share)[:_INFLUENCES]
-            weights[first + k, near[kept]] = _simplex(one[:, near[kept]])
+            strongest = np.argsort(-share)[:_INFLUENCES]
+            weights[first + k, near[strongest]] = _simplex(one[:, near[strongest]])
     return weights
 
 

@@ -66,10 +66,10 @@ def buttons_on(header: TrajectoryHeader, parts: Sequence[ClothPart]) -> list[But
     """
     if header.buttons is None:
         return []
-    listed, left = [], np.asarray(header.buttons)
+    buttons, vertices = [], np.asarray(header.buttons)
     for part in parts:
-        is_on = np.isin(left, header.faces[part.faces])
+        is_on = np.isin(vertices, header.faces[part.faces])
         red, green, blue = (THREAD * share for share in part.colour)
-        listed.append(Buttons(left[is_on], (red, green, blue)))
-        left = left[~is_on]
-    return [each for each in listed if len(each.vertices)]
+        buttons.append(Buttons(vertices[is_on], (red, green, blue)))
+        vertices = vertices[~is_on]
+    return [group for group in buttons if len(group.vertices)]

@@ -44,8 +44,8 @@ class Camera:
         self._feet: dict[int, np.ndarray] = {}
         heights = [points[:, 1] for t in frames if len(points := self._visible(t)[0])]
         stands = view.show_body and trajectory.body_positions.shape[1] > 0
-        low = 0.0 if stands else min((float(each.min()) for each in heights), default=0.0)
-        self._half_height = 0.5 * (max((float(each.max()) for each in heights), default=0.0) - low)
+        low = 0.0 if stands else min((float(height.min()) for height in heights), default=0.0)
+        self._half_height = 0.5 * (max((float(height.max()) for height in heights), default=0.0) - low)
         self.middle = low + self._half_height
         self.distance = max((self._needed_distance(t) for t in frames), default=0.0) * _MARGIN
 
@@ -102,10 +102,10 @@ class Camera:
             return float((towards + spread / np.tan(np.deg2rad(FIELD_OF_VIEW / 2))).max(initial=_NEAREST))
 
         low, high = np.quantile(points, (0.25, 0.75), axis=0) if len(points) else np.zeros((2, 3))
-        whole = needed(np.maximum(heights, sides))
+        distance = needed(np.maximum(heights, sides))
         if self._half_height < (high - low)[[0, 2]].max():
-            return whole
-        return min(whole, max(needed(heights) / _FILLED, needed(np.where(cloth, sides, 0.0))))
+            return distance
+        return min(distance, max(needed(heights) / _FILLED, needed(np.where(cloth, sides, 0.0))))
 
     def axes(self, t: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Unit vectors (3,) of the picture of frame t: to its right, to its top, and towards the camera.

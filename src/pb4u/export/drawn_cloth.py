@@ -62,7 +62,7 @@ class DrawnCloth:
             lines: on the trajectory's own.
         """
         middles = self._split.middles[lines.face]
-        kept, cut = lines.at(middles[:, 0] < 0), lines.at(middles[:, 0] >= 0)
+        uncut, cut = lines.at(middles[:, 0] < 0), lines.at(middles[:, 0] >= 0)
         corners, middles = self._coarse[cut.face], middles[middles[:, 0] >= 0]
         # Barycentric coordinates of both ends; a piece lies between two crossings of the lines on which one is a half.
         ends, share = cut.ends.reshape(-1, 2, 2), cut.share.reshape(-1, 2, 1)
@@ -82,9 +82,9 @@ class DrawnCloth:
         starts = np.searchsorted(self.parent, cut.face[piece])
         middle = points.mean(axis=1)
         child = np.where(middle.max(axis=1) >= 0.5, middle.argmax(axis=1), 3)
-        kept = kept._replace(face=np.searchsorted(self.parent, kept.face))
+        uncut = uncut._replace(face=np.searchsorted(self.parent, uncut.face))
         pieces = SewingLines(fine, shares, starts + child, cut.width[piece], cut.shade[piece])
-        return SewingLines(*(np.concatenate(each) for each in zip(kept, pieces, strict=True)))
+        return SewingLines(*(np.concatenate(rows) for rows in zip(uncut, pieces, strict=True)))
 
 
 def _on_edges(at: np.ndarray, corners: np.ndarray, middles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -26,21 +26,21 @@ def hold_finite(trajectory: Trajectory) -> Trajectory:
     Raises:
         InputError: no frame is whole.
     """
-    whole = np.array([bool(np.isfinite(positions).all()) for positions in trajectory.positions])
+    finite = np.array([bool(np.isfinite(positions).all()) for positions in trajectory.positions])
     body_whole = np.array([bool(np.isfinite(positions).all()) for positions in trajectory.body_positions])
-    if whole.all() and body_whole.all():
+    if finite.all() and body_whole.all():
         return trajectory
-    if not whole.any() or not body_whole.any():
+    if not finite.any() or not body_whole.any():
         raise InputError("No frame of the trajectory is finite, so there is nothing to write; simulate it again.")
-    held = np.flatnonzero(~(whole & body_whole)).tolist()
+    gaps = np.flatnonzero(~(finite & body_whole)).tolist()
     warn(
-        f"{len(held)} of {len(whole)} frames are not finite ({spans(held)}); each is written as the last whole frame "
+        f"{len(gaps)} of {len(finite)} frames are not finite ({spans(gaps)}); each is written as the last whole frame "
         "before it, and marked where the format allows.",
     )
     return replace(
         trajectory,
-        header=trajectory.header.with_metadata(**{HELD_FRAMES: held}),
-        positions=_repeat(trajectory.positions, whole),
+        header=trajectory.header.with_metadata(**{HELD_FRAMES: gaps}),
+        positions=_repeat(trajectory.positions, finite),
         body_positions=_repeat(trajectory.body_positions, body_whole),
     )
 
@@ -69,6 +69,6 @@ def spans(frames: list[int]) -> str:
     return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in runs)
 
 
-def _repeat(positions: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    last = np.maximum.accumulate(np.where(whole, np.arange(len(whole)), -1))
-    return np.asarray(positions[np.where(last < 0, int(np.argmax(whole)), last)])
+def _repeat(positions: np.ndarray, finite: np.ndarray) -> np.ndarray:
+    last = np.maximum.accumulate(np.where(finite, np.arange(len(finite)), -1))
+    return np.asarray(positions[np.where(last < 0, int(np.argmax(finite)), last)])

@@ -67,25 +67,25 @@ def write_glb(
         How far off bones leave the garment, as a predicate without its subject; None without them.
     """
     header, frames = trajectory.header, trajectory.frame_count
-    worn, (cloth, _) = pieces(header), sewn_parts(header)
+    cloths, (cloth, _) = pieces(header), sewn_parts(header)
     body = body and len(header.body_faces) > 0
-    passes = len(worn) + body
+    passes = len(cloths) + body
     binary = path.with_name(f"{path.name}.bin")
     try:
         with binary.open("wb") as file:
             document = _Document(file, trajectory, bones)
-            for number, piece in enumerate(worn):
-                own = piece.header
+            for number, piece in enumerate(cloths):
+                part = piece.header
                 document.add_surface(
-                    "garment" if len(worn) == 1 else piece.name, trajectory.positions[:, piece.vertices], own.faces,
-                    (own.uvs, own.uv_faces), piece.looks(cloth), _part(progress, number * frames, passes),
-                    SewnPanels.of(own),
+                    "garment" if len(cloths) == 1 else piece.name, trajectory.positions[:, piece.vertices], part.faces,
+                    (part.uvs, part.uv_faces), piece.looks(cloth), _part(progress, number * frames, passes),
+                    SewnPanels.of(part),
                 )  # fmt: skip
             if body:
                 skin = [ClothPart("body", np.arange(len(header.body_faces)), SKIN)]
                 document.add_surface(
                     "body", trajectory.body_positions, header.body_faces, (None, None), skin,
-                    _part(progress, len(worn) * frames, passes),
+                    _part(progress, len(cloths) * frames, passes),
                 )  # fmt: skip
             described = document.finished()
         _assemble(described, binary, path)
@@ -122,8 +122,8 @@ class _Document(GltfDocument):
         self._frames = trajectory.frame_count
         self._times: int | None = None
         self._seconds = (np.arange(self._frames) / trajectory.fps).astype(np.float32)
-        if held := held_frames(trajectory):
-            self.json["asset"]["extras"] = {HELD_FRAMES: held}
+        if frames := held_frames(trajectory):
+            self.json["asset"]["extras"] = {HELD_FRAMES: frames}
         self._textures: dict[bytes, int] = {}
         self._samplers: list[dict[str, Any]] = []
         self._channels: list[dict[str, Any]] = []

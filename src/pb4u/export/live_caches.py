@@ -89,7 +89,7 @@ class LiveCaches:
         self._folder = folder
 
     def append(self, frame: Frame) -> None:
-        """Take a computed frame, and write those that are known now.
+        """Take a computed frame, and write the frames that can be interpolated from what has come.
 
         Args:
             frame: the next one.
@@ -98,10 +98,10 @@ class LiveCaches:
             InputError: the disk takes no more.
         """
         self._arrived.append(frame.positions)
-        known = self._dropped + len(self._arrived)
+        frames = self._dropped + len(self._arrived)
         while self._frames is None or self.frame_count < self._frames:
             low, weight = self._place(self.frame_count)
-            if low + (weight > 0) >= known:
+            if low + (weight > 0) >= frames:
                 return
             self._arrived, self._dropped = self._arrived[low - self._dropped :], low
             first = self._arrived[0]

@@ -65,12 +65,12 @@ def check_frames(path: Path) -> None:
 def _numbered(path: Path) -> list[tuple[Path, int]]:
     """Files called as the frames of an OBJ sequence, and their numbers."""
     name = re.compile(re.escape(path.stem) + r"_(\d{4,})" + re.escape(path.suffix))
-    found = [(file, name.fullmatch(file.name)) for file in sorted(path.parent.iterdir())]
-    return [(file, int(match.group(1))) for file, match in found if match]
+    matches = [(file, name.fullmatch(file.name)) for file in sorted(path.parent.iterdir())]
+    return [(file, int(match.group(1))) for file, match in matches if match]
 
 
 def is_own(mesh: Path) -> bool:
-    """Whether an OBJ file was written here.
+    """Whether this package wrote an OBJ file.
 
     Args:
         mesh: path of the OBJ.
@@ -102,10 +102,10 @@ def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress = 
         progress: called with the frames written.
     """
     topology = _topology(trajectory)
-    held = set(held_frames(trajectory))
+    repeated = set(held_frames(trajectory))
     files = frame_files(path, trajectory.frame_count)
     for t, (file, positions) in enumerate(zip(files, trajectory.positions, strict=True)):
-        remark = "not finite, the last whole frame before it" if t in held else ""
+        remark = "not finite, the last whole frame before it" if t in repeated else ""
         file.write_text(_text(t, positions, topology, remark), encoding="ascii")
         progress(t + 1, trajectory.frame_count)
 
@@ -162,9 +162,9 @@ def write_mdd(trajectory: Trajectory, path: Path, progress: Progress = no_progre
 def _write(trajectory: Trajectory, path: Path, header: bytes, dtype: str, progress: Progress) -> None:
     with path.open("wb") as file:
         file.write(header)
-        for done, positions in enumerate(trajectory.positions, start=1):
+        for number, positions in enumerate(trajectory.positions, start=1):
             file.write(positions.astype(dtype).tobytes())
-            progress(done, trajectory.frame_count)
+            progress(number, trajectory.frame_count)
     first = _text(0, trajectory.positions[0], _topology(trajectory))
     path.with_suffix(".obj").write_text(first, encoding="ascii")
 

@@ -58,39 +58,39 @@ def choose_opengl() -> None:
     Raises:
         Pb4uError: nothing that is here draws.
     """
-    given = tuple(sorted((name, value) for name, value in os.environ.items() if name.startswith(_TOLD)))
-    chosen = _working(given)
+    settings = tuple(sorted((name, value) for name, value in os.environ.items() if name.startswith(_TOLD)))
+    chosen = _working(settings)
     if chosen is None:
-        named = f", or take {_WINDOW} out of the environment" if _WINDOW in os.environ else ""
+        remedy = f", or take {_WINDOW} out of the environment" if _WINDOW in os.environ else ""
         raise Pb4uError(
             "Pictures need off-screen OpenGL, which this machine lacks; on Debian or Ubuntu install libegl1 and "
-            f"libgl1-mesa-dri{named}. The trajectory itself does not need it."
+            f"libgl1-mesa-dri{remedy}. The trajectory itself does not need it."
         )
-    for name, _ in given:
+    for name, _ in settings:
         if name not in dict(chosen):
             del os.environ[name]
     os.environ.update(chosen)
 
 
 @lru_cache
-def _working(given: tuple[tuple[str, str], ...]) -> tuple[tuple[str, str], ...] | None:
+def _working(settings: tuple[tuple[str, str], ...]) -> tuple[tuple[str, str], ...] | None:
     """What of the environment leads to a picture: all of it; else another window; else a window alone."""
     if not sys.executable:
-        return given
-    told = dict(given)
-    without = {name: value for name, value in told.items() if name != _WINDOW}
-    tried = [told, without, *({**kept, _WINDOW: window} for kept in (without, {}) for window in _WINDOWS), {}]
-    ways = dict.fromkeys(tuple(sorted(each.items())) for each in tried)
+        return settings
+    variables = dict(settings)
+    without = {name: value for name, value in variables.items() if name != _WINDOW}
+    tried = [variables, without, *({**base, _WINDOW: window} for base in (without, {}) for window in _WINDOWS), {}]
+    ways = dict.fromkeys(tuple(sorted(way.items())) for way in tried)
     return next((way for way in ways if _draws(dict(way))), None)
 
 
-def _draws(told: Mapping[str, str]) -> bool:
+def _draws(settings: Mapping[str, str]) -> bool:
     """Whether VTK draws with this much told to OpenGL."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(_TOLD)}
-    environment = {**kept, **told, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    others = {name: value for name, value in os.environ.items() if not name.startswith(_TOLD)}
+    environment = {**others, **settings, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-c", _TRIAL]
     try:
-        done = subprocess.run(command, env=environment, capture_output=True, timeout=_SECONDS, check=False)
+        process = subprocess.run(command, env=environment, capture_output=True, timeout=_SECONDS, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return False
-    return done.returncode == 0
+    return process.returncode == 0

@@ -37,11 +37,11 @@ class SewnPanels:
         names: list[str] = []
         of_face = np.full(len(header.faces), -1)
         for k in sewn:
-            own = np.flatnonzero(header.vertex_garment[header.faces[:, 0]] == k)
-            listed, islands = header.garments[k]["panels"], uv_islands(header.uv_faces[own])
-            if islands.max(initial=-1) + 1 == len(listed):
-                of_face[own] = len(names) + islands
-                names += listed if len(sewn) == 1 else [f"{header.garments[k]['name']} {name}" for name in listed]
+            faces = np.flatnonzero(header.vertex_garment[header.faces[:, 0]] == k)
+            panels, islands = header.garments[k]["panels"], uv_islands(header.uv_faces[faces])
+            if islands.max(initial=-1) + 1 == len(panels):
+                of_face[faces] = len(names) + islands
+                names += panels if len(sewn) == 1 else [f"{header.garments[k]['name']} {name}" for name in panels]
         if not names:
             return None
         rows = of_face >= 0

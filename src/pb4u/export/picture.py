@@ -81,14 +81,14 @@ def save_gif(pictures: Iterable[np.ndarray], path: Path, fps: float) -> None:
     from PIL import Image
 
     stride = max(1, round(fps / _GIF_FPS))
-    kept = [
+    images = [
         Image.fromarray(picture).quantize(128, dither=Image.Dither.NONE)
         for picture in islice(pictures, 0, None, stride)
     ]
     # It counts in hundredths of a second: rounded one by one, they would add up to another length.
-    ends = np.rint(100.0 * stride / fps * np.arange(len(kept) + 1)).astype(int)
+    ends = np.rint(100.0 * stride / fps * np.arange(len(images) + 1)).astype(int)
     shown = (10 * np.diff(ends)).tolist()
-    kept[0].save(path, save_all=True, append_images=kept[1:], duration=shown, loop=0)
+    images[0].save(path, save_all=True, append_images=images[1:], duration=shown, loop=0)
 
 
 def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = no_progress, view: View | None = None) -> str:
@@ -138,6 +138,6 @@ def save_mp4(pictures: Iterable[np.ndarray], path: Path, fps: float, size: tuple
 
 
 def _counted(pictures: Iterator[np.ndarray], total: int, progress: Progress) -> Iterator[np.ndarray]:
-    for done, picture in enumerate(pictures, start=1):
+    for number, picture in enumerate(pictures, start=1):
         yield picture
-        progress(done, total)
+        progress(number, total)

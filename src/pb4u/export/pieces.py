@@ -35,8 +35,8 @@ class Piece:
         Args:
             parts: of the trajectory, each of one garment.
         """
-        own = [part for part in parts if np.isin(part.faces[:1], self.faces).all()]
-        return [replace(part, faces=np.searchsorted(self.faces, part.faces)) for part in own]
+        inside = [part for part in parts if np.isin(part.faces[:1], self.faces).all()]
+        return [replace(part, faces=np.searchsorted(self.faces, part.faces)) for part in inside]
 
 
 def part_of_polygon(header: TrajectoryHeader, parts: Sequence[ClothPart]) -> np.ndarray:
@@ -75,7 +75,7 @@ def pieces(header: TrajectoryHeader) -> list[Piece]:
 
 
 def names_apart(names: Sequence[str], between: str) -> list[str]:
-    """The names, those that were there before with the first free number after them.
+    """The names made unique: a repeated one gets the first free number.
 
     Args:
         names: some of them perhaps equal.
@@ -84,7 +84,7 @@ def names_apart(names: Sequence[str], between: str) -> list[str]:
     apart: list[str] = []
     for name in names:
         numbered = (f"{name}{between}{number}" for number in count(2))
-        apart.append(next(each for each in chain((name,), numbered) if each not in apart))
+        apart.append(next(candidate for candidate in chain((name,), numbered) if candidate not in apart))
     return apart
 
 
@@ -103,7 +103,7 @@ def _piece(header: TrajectoryHeader, k: int, name: str, vertices: slice) -> Piec
     buttons = header.buttons
     if buttons is not None:
         buttons = buttons[(buttons >= first) & (buttons < vertices.stop)] - first
-    own = Polygons(outlines.sizes[polygons], outlines.corners[corners] - first, uv_corners)
+    outlines_of_piece = Polygons(outlines.sizes[polygons], outlines.corners[corners] - first, uv_corners)
     described = header.garments[k] | {"vertices": [0, size], "triangles": [0, len(faces)]}
     alone = replace(
         header,
@@ -119,7 +119,7 @@ def _piece(header: TrajectoryHeader, k: int, name: str, vertices: slice) -> Piec
         material_layers=None if header.material_layers is None else header.material_layers[faces],
         trims=None if header.trims is None else header.trims[faces],
         buttons=buttons,
-        polygons=None if header.polygons is None else own,
+        polygons=None if header.polygons is None else outlines_of_piece,
         appearances=None if header.appearances is None else header.appearances.at(faces),
     )
     return Piece(name, vertices, faces, alone)

@@ -276,7 +276,7 @@ def export(
         seen["bones"] = bones
     with on_disk(f"Cannot write {path}"):
         with working_folder(path) as folder:
-            told = writer(shown, folder / path.name, progress or no_progress, **seen)
+            remark = writer(shown, folder / path.name, progress or no_progress, **seen)
             complete = sorted(p for p in folder.iterdir() if p.name != LOCK and p.suffix != MARK)
             if not complete:
                 raise InputError(f"Cannot write {path}: nothing was written.")
@@ -284,8 +284,8 @@ def export(
                 move_into_place(written, path.with_name(written.name))
         for stale in _function(form.stale)(path, shown.frame_count) if form.stale else ():
             stale.unlink()
-    if told and say is not None:
-        say(f"{path.name} {told}")
+    if remark and say is not None:
+        say(f"{path.name} {remark}")
     return path
 
 

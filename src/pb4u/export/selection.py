@@ -77,14 +77,14 @@ def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: i
     if every < 1:
         raise InputError(f"The stride from one kept frame to the next must be 1 or more, not {every}.")
     first, last = (0, trajectory.frame_count) if span is None else (span[0], min(span[1], trajectory.frame_count))
-    kept = slice(first, last, every)
+    frames = slice(first, last, every)
     if first >= min(last, trajectory.frame_count):
         raise InputError(f"The trajectory has frames 0 to {trajectory.frame_count - 1}; none lies in the range.")
     if every > 1 and last - first > 1 and every >= last - first:
         raise InputError(f"Every {every}th of {last - first} frames is one frame; give a smaller stride.")
     if span is not None and span[1] > last:
         warn(f"The trajectory has {last} frames; of the range {first}:{span[1]}, {first}:{last} is there.")
-    return trajectory.with_frames(lambda values: values[kept], trajectory.fps / every)
+    return trajectory.with_frames(lambda values: values[frames], trajectory.fps / every)
 
 
 def looks_are_on_source(header: TrajectoryHeader) -> bool:
@@ -156,10 +156,10 @@ def _counted_anew(header: TrajectoryHeader, vertices: np.ndarray, beneath: np.nd
         return np.searchsorted(owners, [number, number + 1]).tolist()
 
     garments = [
-        {**each, "vertices": rows(vertices, number), "triangles": rows(faces, number)}
-        for number, each in enumerate(header.garments)
+        {**entry, "vertices": rows(vertices, number), "triangles": rows(faces, number)}
+        for number, entry in enumerate(header.garments)
     ]
-    materials = [{**made, "faces": ranges_of(faces[beneath])} for made, faces in header.materials]
+    materials = [{**material, "faces": ranges_of(faces[beneath])} for material, faces in header.materials]
     return {**header.metadata, "triangles": len(beneath), "garments": garments, "materials": materials}
 
 
@@ -197,15 +197,15 @@ def source_garments(header: TrajectoryHeader) -> np.ndarray:
     return owners
 
 
-def resampled_count(frames: int, fps: float, wanted: float) -> int:
+def resampled_count(frames: int, fps: float, rate: float) -> int:
     """Number of frames of the same time at another rate.
 
     Args:
         frames: there are now.
         fps: their rate [1/s].
-        wanted: the other rate [1/s].
+        rate: the other rate [1/s].
     """
-    return int((frames - 1) / fps * wanted + 1e-6) + 1
+    return int((frames - 1) / fps * rate + 1e-6) + 1
 
 
 def resampled(trajectory: Trajectory, fps: float, frames: int | None = None) -> Trajectory:

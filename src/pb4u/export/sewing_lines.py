@@ -146,7 +146,7 @@ def sewing_lines(header: TrajectoryHeader) -> SewingLines:
         kinds += [(_level(faces, away - 0.5 * _EDGE[0]), _EDGE), (_level(faces, away - HEM), _STITCH)]
     lines = [(*line, *(np.full(len(line[2]), value) for value in kind)) for line, kind in kinds]
     empty = (np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
-    return SewingLines(*(np.concatenate(each) for each in zip(empty, *lines, strict=True)))
+    return SewingLines(*(np.concatenate(rows) for rows in zip(empty, *lines, strict=True)))
 
 
 def _level(faces: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -171,18 +171,18 @@ def _seams(header: TrajectoryHeader) -> Iterator[tuple[np.ndarray, np.ndarray, n
     if uv_faces is None or header.polygons is not None:
         return
     for k, garment in enumerate(header.garments):
-        own = np.flatnonzero(np.asarray(header.vertex_garment)[faces[:, 0]] == k)
-        if garment.get("source") not in CUTS or not len(own):
+        rows = np.flatnonzero(np.asarray(header.vertex_garment)[faces[:, 0]] == k)
+        if garment.get("source") not in CUTS or not len(rows):
             continue
-        panel = uv_islands(uv_faces[own])
+        panel = uv_islands(uv_faces[rows])
         on_face = np.eye(panel.max() + 1)[panel]
         for _ in range(3):
             on_vertex = np.zeros((len(header.rest_positions), on_face.shape[1]))
-            for corner in faces[own].T:
+            for corner in faces[rows].T:
                 np.add.at(on_vertex, corner, on_face)
             on_vertex /= np.maximum(on_vertex.sum(axis=1, keepdims=True), 1e-9)
-            on_face = on_vertex[faces[own]].mean(axis=1)
+            on_face = on_vertex[faces[rows]].mean(axis=1)
         for label in range(panel.max()):
             others = np.delete(on_vertex, label, axis=1).max(axis=1)
-            ends, share, crossed = _level(faces[own], on_vertex[:, label] - others)
-            yield ends, share, own[crossed]
+            ends, share, crossed = _level(faces[rows], on_vertex[:, label] - others)
+            yield ends, share, rows[crossed]

@@ -100,16 +100,16 @@ def fabric_names(header: TrajectoryHeader) -> np.ndarray:
         header: of the trajectory.
     """
     names = np.full(len(header.faces), "", dtype=object)
-    for made, faces in header.materials:
-        names[faces] = next((name for name, known in BUILT_IN.items() if _is_of(made, known)), "")
+    for numbers, faces in header.materials:
+        names[faces] = next((name for name, material in BUILT_IN.items() if _is_of(numbers, material)), "")
     return names
 
 
 def _is_of(numbers: Mapping[str, Any], material: Material) -> bool:
     """Whether what is written of a material are the numbers of this one, as far as it has those."""
-    known = {**material.five_numbers, **vars(material)}
-    shared = [name for name in known if isinstance(numbers.get(name), float)]
-    return "density" in shared and all(np.isclose(numbers[name], known[name], rtol=1e-9, atol=0.0) for name in shared)
+    values = {**material.five_numbers, **vars(material)}
+    shared = [name for name in values if isinstance(numbers.get(name), float)]
+    return "density" in shared and all(np.isclose(numbers[name], values[name], rtol=1e-9, atol=0.0) for name in shared)
 
 
 def garment_colours(fabrics: Sequence[str], chosen: Sequence[Colour] = ()) -> list[Colour]:
@@ -122,7 +122,7 @@ def garment_colours(fabrics: Sequence[str], chosen: Sequence[Colour] = ()) -> li
     colours: list[Colour] = []
     for number, name in enumerate(fabrics):
         usual = LOOKS.get(name, PLAIN).colour
-        free = (each for each in (usual, *_FURTHER_CLOTHS) if each not in colours)
+        free = (colour for colour in (usual, *_FURTHER_CLOTHS) if colour not in colours)
         further = _FURTHER_CLOTHS[number % len(_FURTHER_CLOTHS)]
         colours.append(chosen[number] if number < len(chosen) else next(free, further))
     return colours
@@ -159,21 +159,21 @@ def cloth_parts(header: TrajectoryHeader, chosen: Sequence[Colour] = ()) -> list
     of_face = np.full(len(owner), -1) if looks is None else np.where(owner < len(chosen), -1, looks.of_face)
     main = [Counter(fabrics[owner == k]).most_common(1)[0][0] if (owner == k).any() else "" for k in range(count)]
     colours, parts = garment_colours(main, chosen), list[ClothPart]()
-    for k, look, made in sorted(set(zip(owner.tolist(), of_face.tolist(), fabrics.tolist(), strict=True))):
-        faces = np.flatnonzero((owner == k) & (of_face == look) & (fabrics == made))
-        fabric = LOOKS.get(made, PLAIN)
+    for k, look, fabric_name in sorted(set(zip(owner.tolist(), of_face.tolist(), fabrics.tolist(), strict=True))):
+        faces = np.flatnonzero((owner == k) & (of_face == look) & (fabrics == fabric_name))
+        fabric = LOOKS.get(fabric_name, PLAIN)
         if looks is not None and look >= 0:
-            given = looks.listed[look]
-            parts.append(ClothPart(given.name, faces, given.colour, given.image, fabric))
+            entry = looks.listed[look]
+            parts.append(ClothPart(entry.name, faces, entry.colour, entry.image, fabric))
             continue
         name = "garment" if count == 1 else f"garment {k + 1}"
         if 1 < count == len(header.garments):
             name = str(header.garments[k]["name"])
-        if made == main[k]:
+        if fabric_name == main[k]:
             parts.append(ClothPart(name, faces, colours[k], None, fabric))
         else:
-            dyed = colours[k] if k < len(chosen) or made in _TRIMMINGS else fabric.colour
-            parts.append(ClothPart(f"{name}, {made}", faces, dyed, None, fabric))
+            dyed = colours[k] if k < len(chosen) or fabric_name in _TRIMMINGS else fabric.colour
+            parts.append(ClothPart(f"{name}, {fabric_name}", faces, dyed, None, fabric))
     return parts
 
 

@@ -113,12 +113,12 @@ def _project(
     remaining = np.zeros(len(counts))
     for first in range(0, vertices, _VERTICES_AT_ONCE):
         block = slice(first, first + _VERTICES_AT_ONCE)
-        left = np.asarray(positions[:, block], dtype=np.float32) - start[block]
-        shapes[:, block] = np.tensordot(rows.T, left, 1)
+        residual = np.asarray(positions[:, block], dtype=np.float32) - start[block]
+        shapes[:, block] = np.tensordot(rows.T, residual, 1)
         for place, count in enumerate(counts):
-            kept = slice(counts[place - 1] if place else 0, count)
-            left = left - np.tensordot(rows[:, kept], shapes[kept, block], 1)
-            distance = float(np.sqrt((left**2).sum(axis=-1).max()))
+            rows_of_block = slice(counts[place - 1] if place else 0, count)
+            residual = residual - np.tensordot(rows[:, rows_of_block], shapes[rows_of_block, block], 1)
+            distance = float(np.sqrt((residual**2).sum(axis=-1).max()))
             remaining[place] = max(remaining[place], distance)
     enough = np.flatnonzero(remaining <= tolerance)
     place = int(enough[0]) if len(enough) else len(counts) - 1

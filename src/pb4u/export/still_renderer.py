@@ -67,7 +67,7 @@ class StillRenderer:
         self._light()
         self._add_ground()
         lines = self._drawn.lines(lines)
-        self._buttons = [self._add_buttons(each) for each in buttons_on(trajectory.header, parts)]
+        self._buttons = [self._add_buttons(buttons) for buttons in buttons_on(trajectory.header, parts)]
         self._lines = [self._add_lines(lines.at(lines.width == width), parts) for width in np.unique(lines.width)]
 
     def _add_cloth(self, parts: list[ClothPart]) -> list[tuple[pyvista.PolyData, np.ndarray]]:
@@ -81,7 +81,7 @@ class StillRenderer:
         metres = split_seams(len(first), drawn.faces, drawn.uvs(uvs_in_metres(header)), drawn.uv_faces)[2]
         added = []
         for part in parts:
-            points, own = np.unique(corners[np.isin(drawn.parent, part.faces)], return_inverse=True)
+            points, corner = np.unique(corners[np.isin(drawn.parent, part.faces)], return_inverse=True)
             colour, images = part.colour, []
             if part.image is not None and uvs is not None:
                 images.append((_pixels(part.image), uvs[points]))
@@ -90,7 +90,7 @@ class StillRenderer:
             if self._view.weave and plain and threads and metres is not None and np.ptp(metres[points]) > 0.0:
                 images.append((thread_image(threads, colour), metres[points] / SIDE))
                 colour = (1.0, 1.0, 1.0)
-            mesh = self._add(first[of_vertex[points]], own.reshape(-1, 3), colour, part.fabric.gloss, images)
+            mesh = self._add(first[of_vertex[points]], corner.reshape(-1, 3), colour, part.fabric.gloss, images)
             added.append((mesh, of_vertex[points]))
         return added
 

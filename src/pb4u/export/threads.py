@@ -77,9 +77,9 @@ def thread_image(threads: Threads, colour: Colour) -> np.ndarray:
         over = over * (1.0 + 0.12 * np.cos(place[:, None] - 2.0 * np.pi * np.abs(np.tile(across, _COUNT))))
         over = over * (1.0 + threads.rib * np.cos(place / threads.wale))
     image = np.empty((*over.shape, 3), np.uint8)
-    for channel, (own, other) in enumerate(zip(colour, UNDYED if threads.undyed else colour, strict=True)):
-        shades = own * over + other * under
-        image[..., channel] = np.clip(shades * (255.0 * own / max(float(shades.mean()), 1e-6)), 0.0, 255.0)
+    for channel, (dye, other) in enumerate(zip(colour, UNDYED if threads.undyed else colour, strict=True)):
+        shades = dye * over + other * under
+        image[..., channel] = np.clip(shades * (255.0 * dye / max(float(shades.mean()), 1e-6)), 0.0, 255.0)
     return image
 
 
@@ -116,7 +116,7 @@ def uvs_in_metres(header: TrajectoryHeader) -> np.ndarray | None:
     areas = summed(np.linalg.norm(np.cross(rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]), axis=1))
     flat = summed(np.abs(doubled))
     scale = np.sqrt(np.divide(areas, flat, out=np.zeros_like(flat), where=flat > 1e-12))
-    warp = np.stack([summed(np.sign(doubled) * each) for each in (by * a - ay * b, ax * b - bx * a)], axis=1)
+    warp = np.stack([summed(np.sign(doubled) * component) for component in (by * a - ay * b, ax * b - bx * a)], axis=1)
     length = np.linalg.norm(warp, axis=1, keepdims=True)
     warp = np.divide(warp, length, out=np.tile([0.0, 1.0], (len(warp), 1)), where=length > 1e-9 * flat[:, None])
     of_point = np.zeros(len(header.uvs), dtype=np.int64)

@@ -101,14 +101,14 @@ def _write_binary(trajectory: Trajectory, path: Path, beside: Path, progress: Pr
     stage.SetStartTimeCode(0)
     stage.SetEndTimeCode(trajectory.frame_count - 1)
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Scene").GetPrim())
-    held = held_frames(trajectory)
-    if held:
-        stage.GetRootLayer().customLayerData = {"pb4u": {HELD_FRAMES: _ints(held)}}
-    worn, parts, garments = pieces(header), cloth_parts(header), []
+    frames = held_frames(trajectory)
+    if frames:
+        stage.GetRootLayer().customLayerData = {"pb4u": {HELD_FRAMES: _ints(frames)}}
+    garment_pieces, parts, garments = pieces(header), cloth_parts(header), []
     images: dict[bytes, str] = {}
-    if len(worn) > 1:
+    if len(garment_pieces) > 1:
         UsdGeom.Xform.Define(stage, "/Scene/Garment")
-    for piece, prim in zip(worn, _prims([piece.name for piece in worn]), strict=True):
+    for piece, prim in zip(garment_pieces, _prims([piece.name for piece in garment_pieces]), strict=True):
         outlines = piece.header.outlines
         looks = piece.looks(parts)
         mesh = _define(stage, prim, outlines, looks[0].colour)
@@ -197,7 +197,7 @@ def _colour_cloth(
     colours = np.array([_linear(part.colour) for part in parts])[of_polygon].astype(np.float32)
     mesh.CreateDisplayColorAttr(Vt.Vec3fArray.FromNumpy(colours))
     UsdGeom.PrimvarsAPI(mesh).GetPrimvar("displayColor").SetInterpolation(UsdGeom.Tokens.uniform)
-    own = mesh.GetPrim().GetName()
+    mesh_name = mesh.GetPrim().GetName()
     for k, part in enumerate(parts if piece.header.appearances is not None or len(parts) > 1 else ()):
         if part.image is not None and part.image not in images:
             images[part.image] = f"{path.stem}.texture{len(images)}{image_suffix(part.image)}"
@@ -206,15 +206,15 @@ def _colour_cloth(
             mesh, f"part_{k}", UsdGeom.Tokens.face, _ints(np.flatnonzero(of_polygon == k)), "materialBind"
         )
         UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(
-            _material(stage, f"part_{k}" if own == "Garment" else f"{own}_{k}", part, images)
+            _material(stage, f"part_{k}" if mesh_name == "Garment" else f"{mesh_name}_{k}", part, images)
         )
 
 
-def _material(stage: Usd.Stage, own: str, part: ClothPart, images: dict[bytes, str]) -> UsdShade.Material:
+def _material(stage: Usd.Stage, leaf: str, part: ClothPart, images: dict[bytes, str]) -> UsdShade.Material:
     """A preview surface of the part's colour, or of its image, by the name of its file."""
     from pxr import Gf, Sdf, UsdShade
 
-    name = f"/Scene/Materials/{own}"
+    name = f"/Scene/Materials/{leaf}"
     material = UsdShade.Material.Define(stage, name)
     material.GetPrim().SetDisplayName(part.name)
     surface = UsdShade.Shader.Define(stage, f"{name}/surface")
@@ -225,7 +225,7 @@ def _material(stage: Usd.Stage, own: str, part: ClothPart, images: dict[bytes, s
     colour.Set(Gf.Vec3f(*linear))
     material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
     if part.image is not None:
-        reader, image = (UsdShade.Shader.Define(stage, f"{name}/{each}") for each in ("st", "image"))
+        reader, image = (UsdShade.Shader.Define(stage, f"{name}/{part_name}") for part_name in ("st", "image"))
         reader.CreateIdAttr("UsdPrimvarReader_float2")
         reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
         image.CreateIdAttr("UsdUVTexture")

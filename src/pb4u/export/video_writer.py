@@ -87,8 +87,8 @@ def open_video(path: Path, fps: float, size: tuple[int, int]) -> VideoWriter:
     if _opencv_encodes(_H264, fps, size):
         return OpenCvWriter(path, fps, size, _H264, "H.264, by OpenCV")
     has = 'pip install "pb4u[ffmpeg]" brings H.264'
-    told = f"{ffmpeg} has no encoder for it that works" if ffmpeg is not None else has
-    return OpenCvWriter(path, fps, size, _VP9, f"VP9, which some players do not know; not H.264: {told}")
+    reason = f"{ffmpeg} has no encoder for it that works" if ffmpeg is not None else has
+    return OpenCvWriter(path, fps, size, _VP9, f"VP9, which some players do not know; not H.264: {reason}")
 
 
 def _ffmpeg() -> str | None:
@@ -171,8 +171,8 @@ class FfmpegWriter(VideoWriter):
             raise self._failure()
 
     def _failure(self) -> Pb4uError:
-        told = self._process.stderr.read().decode(errors="replace").strip().splitlines() if self._process.stderr else []
-        return Pb4uError(f"ffmpeg could not write the video: {told[-1] if told else 'it ended early'}.")
+        log = self._process.stderr.read().decode(errors="replace").strip().splitlines() if self._process.stderr else []
+        return Pb4uError(f"ffmpeg could not write the video: {log[-1] if log else 'it ended early'}.")
 
 
 def _is_whole(path: Path) -> bool:
@@ -201,10 +201,10 @@ def _encoding(ffmpeg: str, encoder: str, fps: float, size: tuple[int, int]) -> l
 
 def _working_encoder(ffmpeg: str, fps: float, size: tuple[int, int]) -> str | None:
     """The first encoder for H.264 that encodes a picture of this size: some are listed and lack their driver."""
-    listed = subprocess.run([ffmpeg, "-hide_banner", "-encoders"], capture_output=True, text=True, check=False)
+    encoders = subprocess.run([ffmpeg, "-hide_banner", "-encoders"], capture_output=True, text=True, check=False)
     black = bytes(3 * size[0] * size[1])
     for encoder in _H264_ENCODERS:
-        if f" {encoder} " not in listed.stdout:
+        if f" {encoder} " not in encoders.stdout:
             continue
         trial = [*_encoding(ffmpeg, encoder, fps, size), "-f", "null", os.devnull]
         if subprocess.run(trial, input=black, capture_output=True, check=False).returncode == 0:

@@ -299,8 +299,8 @@ def _smooth_filled(values: np.ndarray, sigma: float) -> np.ndarray:
     """Fills NaN from the nearest values and smooths along the levels."""
     from scipy.ndimage import gaussian_filter1d
 
-    known = np.isfinite(values)
-    filled = np.interp(np.arange(len(values)), np.flatnonzero(known), values[known]) if known.any() else 0.0 * values
+    finite = np.isfinite(values)
+    filled = np.interp(np.arange(len(values)), np.flatnonzero(finite), values[finite]) if finite.any() else 0.0 * values
     return gaussian_filter1d(np.nan_to_num(filled), sigma, mode="nearest")
 
 

@@ -38,8 +38,8 @@ def body_faces(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> np.nd
         return none
     height, extent = float(np.ptp(body.vertices[:, 1])), extent_of(vertices[np.unique(faces)])
     sizes = [length for length in UNITS.values() if _HIGH <= extent * length / height <= _HIGHEST]
-    found = (_body_faces(length * vertices, faces, body) for length in sizes)
-    return next((mask for mask in found if mask.any()), none)
+    masks = (_body_faces(length * vertices, faces, body) for length in sizes)
+    return next((mask for mask in masks if mask.any()), none)
 
 
 def _body_faces(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> np.ndarray:
@@ -47,11 +47,11 @@ def _body_faces(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> np.n
     none, height = np.zeros(len(faces), dtype=bool), float(np.ptp(body.vertices[:, 1]))
     piece = Topology(faces, len(vertices)).piece_of_vertex[faces[:, 0]]
     for number in np.unique(piece):
-        own = piece == number
-        if extent_of(vertices[np.unique(faces[own])]) < _HIGH * height:
+        in_piece = piece == number
+        if extent_of(vertices[np.unique(faces[in_piece])]) < _HIGH * height:
             continue
-        if _is_full(vertices, faces[own], body) or _is_body(vertices[np.unique(faces[own])], body):
-            none |= own
+        if _is_full(vertices, faces[in_piece], body) or _is_body(vertices[np.unique(faces[in_piece])], body):
+            none |= in_piece
     # One that was modelled in parts, such as head, hands and the rest.
     return none if none.any() or not _is_body(vertices[np.unique(faces)], body) else ~none
 

@@ -52,12 +52,12 @@ def clear_of_body(vertices: np.ndarray, faces: np.ndarray, body: ShapedBody) -> 
                 index = faces[suspects[needed], corner]
                 amount = short[needed, k] * weights[corner]
                 np.add.at(push, index, np.column_stack([normals[needed, k] * amount[:, None], amount]))
-        moved = push[:, 3] > 0.0
-        direction = push[moved, :3] / push[moved, 3:]
+        is_pushed = push[:, 3] > 0.0
+        direction = push[is_pushed, :3] / push[is_pushed, 3:]
         longest = np.zeros(len(vertices))
         for corner in range(3):
             np.maximum.at(longest, faces[suspects, corner], np.maximum(short.max(axis=1), 0.0))
-        vertices[moved] += direction * (longest[moved, None] + 2e-4)
+        vertices[is_pushed] += direction * (longest[is_pushed, None] + 2e-4)
     return vertices
 
 

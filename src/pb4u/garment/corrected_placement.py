@@ -24,12 +24,12 @@ class CorrectedPlacement(Placement):
 
     def __init__(self, garment: Garment, body: PosedBody) -> None:
         assert garment.skinning is not None
-        own, shaped = garment.skinning, body.body
-        betas = np.array([shaped.shape.get(f"beta{k}", 0.0) for k in range(own.shape_directions.shape[2])])
-        rest = own.vertices + own.shape_directions @ betas + np.array([0.0, shaped.lift, 0.0])
+        skinning, shaped = garment.skinning, body.body
+        betas = np.array([shaped.shape.get(f"beta{k}", 0.0) for k in range(skinning.shape_directions.shape[2])])
+        rest = skinning.vertices + skinning.shape_directions @ betas + np.array([0.0, shaped.lift, 0.0])
         self.body = body
-        self._pose_directions = own.pose_directions.astype(np.float32)
-        self._surface = SkinnedSurface(rest, own.weights, shaped.skeleton.bone_count)
+        self._pose_directions = skinning.pose_directions.astype(np.float32)
+        self._surface = SkinnedSurface(rest, skinning.weights, shaped.skeleton.bone_count)
 
     def positions(self, start: int, stop: int) -> Tensor:
         """Garment vertices (stop - start, vertices, 3) float32 [m]; see `Placement`.

@@ -84,8 +84,8 @@ class Diagnosis:
             {**asdict(f), "severity": f.severity.value, "where": list(f.where), "vertices": list(f.vertices)}
             for f in self.findings
         ]
-        told = {"refused": self.is_refused, "findings": findings, "measures": self.measures}
-        return {**told, "held_by": self.held_by}
+        summary = {"refused": self.is_refused, "findings": findings, "measures": self.measures}
+        return {**summary, "held_by": self.held_by}
 
 
 def diagnose(
@@ -124,7 +124,7 @@ def diagnose(
         "mean_edge_length": float(lengths.mean()) if len(lengths) else 0.0,
         "edge_length_variation": float(lengths.std() / lengths.mean()) if len(lengths) and lengths.any() else 0.0,
     }
-    fit, held = None, "pins" if pinned else None
+    fit, support_name = None, "pins" if pinned else None
     if body is not None and len(vertices):
         rest = RestBody.of(body)
         fit = find_fit(vertices, rest)
@@ -138,7 +138,7 @@ def diagnose(
             if not pinned:
                 support = find_support(*where, rest)
                 findings += support_findings(*where, rest, support)
-                held = support.name
+                support_name = support.name
             if isinstance(body, ShapedBody):
                 findings += limb_findings(*where, body)
             findings += coarse_findings(*where, rest)
@@ -152,7 +152,7 @@ def diagnose(
         # It asks for more than an evenly meshed garment of as many triangles.
         findings = [replace(f, fix=coarse.fix) if f.code == "graded" else f for f in findings]
     order = list(Severity)
-    return Diagnosis(tuple(sorted(findings, key=lambda f: order.index(f.severity))), fit, measures, held)
+    return Diagnosis(tuple(sorted(findings, key=lambda f: order.index(f.severity))), fit, measures, support_name)
 
 
 def _better_body(vertices: np.ndarray, faces: np.ndarray, body: ShapedBody, fit: Fit) -> list[Finding]:
@@ -160,13 +160,13 @@ def _better_body(vertices: np.ndarray, faces: np.ndarray, body: ShapedBody, fit:
     through = limbs_outside(fit.apply(vertices), faces, body)
     if body.name not in BUILT_IN or not (through or fit.misfit > _BADLY):
         return []
-    for name in (each for each in BUILT_IN if each != body.name):
+    for name in (other_name for other_name in BUILT_IN if other_name != body.name):
         other = load_body(name)
         assert isinstance(other, ShapedBody)
         better = find_fit(vertices[np.unique(faces)], RestBody.of(other))
-        left = limbs_outside(better.apply(vertices), faces, other)
-        share = 1.0 if len(left) < len(through) else _BETTER
-        if better.misfit < share * fit.misfit and len(left) <= len(through):
+        still_through = limbs_outside(better.apply(vertices), faces, other)
+        share = 1.0 if len(still_through) < len(through) else _BETTER
+        if better.misfit < share * fit.misfit and len(still_through) <= len(through):
             off = f"{1000 * better.misfit:.0f} mm off on average, and {1000 * fit.misfit:.0f} mm"
             sentence = f'It fits the body "{name}" better: there it is {off} on "{body.name}".'
             return [Finding("other-body", Severity.WARNING, sentence, f"give --body {name}")]
@@ -197,8 +197,8 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
         findings += turned_findings(garment.vertices, garment.faces, rest, mend)
     if placed and garment.is_authors_mesh:
         pairs = self_crossings(garment.vertices, garment.faces, sharing=True)
-        own = np.zeros(len(garment.vertices), dtype=np.int64)
-        for tangle in tangles(["The garment"], own, garment.vertices, garment.faces, pairs):
+        owner = np.zeros(len(garment.vertices), dtype=np.int64)
+        for tangle in tangles(["The garment"], owner, garment.vertices, garment.faces, pairs):
             fix = "mend it where it was made; simulation untangles its start where cloth feels cloth"
             findings.append(Finding("self-crossing", Severity.WARNING, f"{tangle}.", fix))
     if placed and support is not None:
@@ -229,8 +229,8 @@ def require_metres(
     if body is not None:
         rest = RestBody.of(body)
         mend = fix_command(file, rest.name, getattr(body, "own_shape", None))
-        found = placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
-        _tell(garment, [finding for finding in found if finding.severity is Severity.REFUSED])
+        findings = placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
+        _tell(garment, [finding for finding in findings if finding.severity is Severity.REFUSED])
     raise InputError(f"{file} {unit}; scale it to metres with {fix_command(file)}.")
 
 
@@ -246,8 +246,8 @@ def require_clothes(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
     """
     rest = RestBody.of(body)
     if body_faces(garment.vertices, garment.faces, rest).any():
-        own = PolygonMesh(garment.vertices, tuple(garment.faces)) if garment.source is None else garment.source.source
-        _tell(garment, body_findings(SourceSurface.of(own), rest))
+        mesh = PolygonMesh(garment.vertices, tuple(garment.faces)) if garment.source is None else garment.source.source
+        _tell(garment, body_findings(SourceSurface.of(mesh), rest))
 
 
 def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:

@@ -70,12 +70,12 @@ def hanging(
     world = sections.support + sections.centres @ units.T + ease(heights)[:, None]
     slope = taper(heights) * step
     cloth = np.full_like(world, np.nan)
-    held = np.full(world.shape[1], -np.inf)
+    line = np.full(world.shape[1], -np.inf)
     for level in range(sections.level(top), -1, -1):
-        held = held - slope[level]
+        line = line - slope[level]
         skin = np.where(np.isfinite(world[level]), world[level], -np.inf)
-        held = np.maximum(held, skin)
-        cloth[level] = held
+        line = np.maximum(line, skin)
+        cloth[level] = line
     first, last = sections.level(bottom - 0.1), sections.level(top)
     cloth[last + 1 :] = cloth[last]
     cloth[:first] = cloth[first]
@@ -195,8 +195,8 @@ def cone_chain_field(lattice: Lattice, centre: np.ndarray, radius: np.ndarray) -
 
 
 def _filled(values: np.ndarray) -> np.ndarray:
-    known = np.isfinite(values)
-    return np.interp(np.arange(len(values)), np.flatnonzero(known), values[known])
+    finite = np.isfinite(values)
+    return np.interp(np.arange(len(values)), np.flatnonzero(finite), values[finite])
 
 
 def skin_field(lattice: Lattice, form: BodyForm, left_out: np.ndarray) -> np.ndarray:
@@ -219,20 +219,20 @@ def skin_field(lattice: Lattice, form: BodyForm, left_out: np.ndarray) -> np.nda
     points, normals, owner = points[inside_box], normals[inside_box], owner[inside_box]
     tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
     distance, nearest = tree.query(grid, distance_upper_bound=_BAND)
-    known = np.isfinite(distance)
+    finite = np.isfinite(distance)
     field = np.full(len(grid), _BAND)
-    offset = grid[known] - points[nearest[known]]
-    along = np.einsum("ij,ij->i", offset, normals[nearest[known]])
+    offset = grid[finite] - points[nearest[finite]]
+    along = np.einsum("ij,ij->i", offset, normals[nearest[finite]])
     # Close to the skin the plane of the nearest sample is better than the sample itself.
-    near = np.abs(along) > 0.8 * distance[known]
-    field[known] = np.where(along < 0, -1.0, 1.0) * np.where(near, np.abs(along), distance[known])
-    field[known] = np.where(left_out[owner[nearest[known]]], 0.03, field[known])
+    near = np.abs(along) > 0.8 * distance[finite]
+    field[finite] = np.where(along < 0, -1.0, 1.0) * np.where(near, np.abs(along), distance[finite])
+    field[finite] = np.where(left_out[owner[nearest[finite]]], 0.03, field[finite])
     # What lies beyond the band comes in a few connected regions: one query each tells inside from outside.
-    pieces, _ = label((~known).reshape(lattice.shape))
+    pieces, _ = label((~finite).reshape(lattice.shape))
     pieces = pieces.reshape(-1)
     names, first = np.unique(pieces, return_index=True)
     _, nearest = tree.query(grid[first])
     within = np.einsum("ij,ij->i", grid[first] - points[nearest], normals[nearest]) < 0
     sign = np.where(within & (names > 0), -1.0, 1.0)[np.searchsorted(names, pieces)]
-    field = np.where(known, field, sign * _BAND)
+    field = np.where(finite, field, sign * _BAND)
     return field.reshape(lattice.shape)

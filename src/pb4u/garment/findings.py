@@ -73,8 +73,8 @@ def surface_findings(surface: SourceSurface) -> list[Finding]:
 
 
 def _finding(surface: SourceSurface, fault: Fault) -> Finding:
-    named = fault.vertices if fault.faces is None else fault.faces
-    first = () if named is None else tuple(np.asarray(named)[:20].tolist())
+    indices = fault.vertices if fault.faces is None else fault.faces
+    first = () if indices is None else tuple(np.asarray(indices)[:20].tolist())
     concerned = fault.vertices
     if fault.faces is not None and concerned is None:
         concerned = _corners(surface, fault.faces)
@@ -192,14 +192,14 @@ def body_findings(surface: SourceSurface, body: RestBody) -> list[Finding]:
         surface: of the garment as its author made it.
         body: the resting body.
     """
-    found = body_faces(surface.source.vertices, surface.faces, body)
-    if not found.any():
+    mask = body_faces(surface.source.vertices, surface.faces, body)
+    if not mask.any():
         return []
-    polygons = np.unique(surface.polygon[surface.kept[found]])
+    polygons = np.unique(surface.polygon[surface.kept[mask]])
     name = named(surface.source, polygons)
-    told = f"Its object {name}" if name else "The garment" if found.all() else f"A piece of {len(polygons):,} faces"
-    sentence = f'{told} is a body, no garment: it reaches from head to foot of "{body.name}", on its skin or closed.'
-    fix = "give it as --body" if found.all() else "delete it where the garment was made, and export the clothes alone"
+    part = f"Its object {name}" if name else "The garment" if mask.all() else f"A piece of {len(polygons):,} faces"
+    sentence = f'{part} is a body, no garment: it reaches from head to foot of "{body.name}", on its skin or closed.'
+    fix = "give it as --body" if mask.all() else "delete it where the garment was made, and export the clothes alone"
     where = tuple(polygons[:20].tolist())
     return [
         Finding("body", Severity.REFUSED, sentence, fix, where=where, vertices=_indices(_corners(surface, polygons)))
@@ -256,13 +256,13 @@ def contact_findings(
         mend: command that mends what is found.
     """
     used = np.unique(surface.faces)
-    moved = fit.apply(surface.source.vertices)
-    distances = body.signed_distances(moved[used])
+    placed = fit.apply(surface.source.vertices)
+    distances = body.signed_distances(placed[used])
     findings = penetration_findings(distances, body, mend, used)
     closed = body.is_closed
     measures["penetration_percent"] = 100.0 * float((distances < 0.0).mean()) if closed else None
     measures["penetration_depth_max"] = max(0.0, -float(distances.min())) if closed else None
-    return findings if surface.flipped[0].any() else findings + turned_findings(moved, surface.faces, body, mend)
+    return findings if surface.flipped[0].any() else findings + turned_findings(placed, surface.faces, body, mend)
 
 
 def turned_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody, mend: str) -> list[Finding]:
@@ -291,14 +291,14 @@ def crossing_findings(surface: SourceSurface, vertices: np.ndarray, measures: di
         measures: numbers by name, to which are added those found here.
     """
     welded = surface.weld_target[surface.faces]
-    whole = np.flatnonzero((welded != np.roll(welded, 1, axis=1)).all(axis=1))
-    faces = welded[whole]
+    proper = np.flatnonzero((welded != np.roll(welded, 1, axis=1)).all(axis=1))
+    faces = welded[proper]
     pairs = self_crossings(vertices, faces, sharing=True)
     measures["self_intersections"] = float(len(pairs))
     if not len(pairs):
         return []
     (tangle,) = tangles(["The garment"], np.zeros(len(vertices), dtype=np.int64), vertices, faces, pairs)
-    polygons = surface.polygon[surface.kept[whole[pairs]]]
+    polygons = surface.polygon[surface.kept[proper[pairs]]]
     start = untangle(vertices, faces, gap=0.0)
     sentence = f"{tangle}, first faces {first_of(polygons)} (pairs)."
     where, concerned = tuple(polygons.reshape(-1)[:20].tolist()), _indices(_corners(surface, polygons))

@@ -198,8 +198,8 @@ class Fit:
         Args:
             vertices: (n, 3) in the unit of the file.
         """
-        moved: np.ndarray = UNITS[self.unit] * vertices @ AXES[self.axes].T + self.shift
-        return moved
+        placed: np.ndarray = UNITS[self.unit] * vertices @ AXES[self.axes].T + self.shift
+        return placed
 
     @property
     def is_unsure(self) -> bool:
@@ -315,8 +315,8 @@ def _compared(chosen: Fit, fits: list[Fit]) -> Fit:
     """A fit with the axes under which the garment fits about as well."""
     # Only the best of each counts: a garment fits worse turned the wrong way than anywhere else turned the right one.
     turned = {axes: min((fit.misfit for fit in fits if fit.axes == axes), default=np.inf) for axes in AXES}
-    own = turned.pop(chosen.axes)
-    return replace(chosen, alike=tuple(axes for axes, misfit in turned.items() if misfit < _ALIKE * own))
+    best = turned.pop(chosen.axes)
+    return replace(chosen, alike=tuple(axes for axes, misfit in turned.items() if misfit < _ALIKE * best))
 
 
 def _starts(points: np.ndarray, body: RestBody) -> list[tuple[float, np.ndarray]]:
@@ -336,11 +336,11 @@ def _starts(points: np.ndarray, body: RestBody) -> list[tuple[float, np.ndarray]
     for _ in range(_DRAWN):
         shifts = shifts + body.offsets_from(few + shifts[:, None]).mean(axis=1)
     misfits = body.misfit(few + shifts[:, None], _NEAR)
-    found: list[tuple[float, np.ndarray]] = []
+    starts: list[tuple[float, np.ndarray]] = []
     for k in np.argsort(misfits).tolist():
-        if all(np.linalg.norm(shifts[k] - shift) > _SHIFT_STEP for _, shift in found):
-            found.append((float(misfits[k]), shifts[k]))
-    return found[:_REFINED]
+        if all(np.linalg.norm(shifts[k] - shift) > _SHIFT_STEP for _, shift in starts):
+            starts.append((float(misfits[k]), shifts[k]))
+    return starts[:_REFINED]
 
 
 def _refined(points: np.ndarray, shift: np.ndarray, body: RestBody) -> np.ndarray:

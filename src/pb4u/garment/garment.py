@@ -244,17 +244,17 @@ class Garment:
     @cached_property
     def parts(self) -> dict[str, np.ndarray]:
         """Faces (faces,) bool by the name of a part: what its file calls materials, and the panels of its pattern."""
-        found: dict[str, np.ndarray] = {}
+        masks: dict[str, np.ndarray] = {}
         if self.piece_of_face is not None:
-            found |= {name: self.piece_of_face == number for number, name in enumerate(self.pieces)}
+            masks |= {name: self.piece_of_face == number for number, name in enumerate(self.pieces)}
         elif self.appearances is not None:
             of_face = self.appearances.of_face
-            for number, each in enumerate(self.appearances.listed):
-                found[each.name] = found.get(each.name, False) | (of_face == number)
+            for number, look in enumerate(self.appearances.listed):
+                masks[look.name] = masks.get(look.name, False) | (of_face == number)
         if self.panels and self.uv_faces is not None:
             island = uv_islands(self.uv_faces)
-            found |= {name: island == number for number, name in enumerate(self.panels)}
-        return found
+            masks |= {name: island == number for number, name in enumerate(self.panels)}
+        return masks
 
     def of_faces(self, name: str) -> np.ndarray:
         """A property of the cloth of each face, (faces,) or (faces, numbers) in its unit; of several the mean by area.
@@ -285,8 +285,8 @@ class Garment:
     @cached_property
     def _cloths(self) -> tuple[Material, ...]:
         """Its materials as they act: alike in all directions where there is no grain."""
-        own = self.materials or (self.material,)
-        return own if self.has_grain else tuple(material.without_grain for material in own)
+        materials = self.materials or (self.material,)
+        return materials if self.has_grain else tuple(material.without_grain for material in materials)
 
     def at_vertices(self, values: np.ndarray) -> np.ndarray:
         """Sums (vertices,) of a third of the values of the incident faces, in their unit.
@@ -354,8 +354,8 @@ class Garment:
         """Whether its vertices are the author's own, not those of a remeshing."""
         if self.source is None:
             return True
-        kept = np.count_nonzero(self.source.barycentric.max(axis=1) == 1.0)
-        return bool(kept >= len(self.vertices))
+        source_vertices = np.count_nonzero(self.source.barycentric.max(axis=1) == 1.0)
+        return bool(source_vertices >= len(self.vertices))
 
     def is_skinned_for(self, body: ShapedBody | AnimatedBody) -> bool:
         """Whether its own file says how this body wears it: its skinning names as many bones as the body has.
@@ -363,8 +363,8 @@ class Garment:
         Args:
             body: any body.
         """
-        own = self.skinning
-        return own is not None and isinstance(body, ShapedBody) and body.skeleton.bone_count == own.bone_count
+        skinning = self.skinning
+        return skinning is not None and isinstance(body, ShapedBody) and body.skeleton.bone_count == skinning.bone_count
 
     @property
     def triangle_count(self) -> int:
@@ -382,9 +382,9 @@ class Garment:
             material: of those faces.
             faces: (faces,) bool.
         """
-        own = self.materials or (self.material,)
+        materials = self.materials or (self.material,)
         layers = np.column_stack([np.where(faces[:, None], 0.0, self.layers), faces])
-        return self.with_layers((*own, material), layers)
+        return self.with_layers((*materials, material), layers)
 
     def with_layers(self, materials: Sequence[Material], layers: np.ndarray) -> Garment:
         """Made of other materials.

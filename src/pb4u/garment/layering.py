@@ -121,15 +121,15 @@ def _laid_under(
     """Positions (vertices, 3) [m] of a garment with the parts that reach beyond another moved towards the body."""
     surface = TriangleSurface(outer.faces, len(outer_places)).at(outer_places)
 
-    def push_at(moved: np.ndarray) -> np.ndarray:
-        near = surface.nearest(moved)
+    def push_at(vertices: np.ndarray) -> np.ndarray:
+        near = surface.nearest(vertices)
         distance, normals = near.signed_distance.numpy() + LAYER_GAP, near.normals.numpy()
-        alike = np.einsum("ij,ij->i", normals, area_weighted_normals(moved, inner.faces)) > 0.0
+        alike = np.einsum("ij,ij->i", normals, area_weighted_normals(vertices, inner.faces)) > 0.0
         out = (distance > 1e-6) & (distance < _REACH_UNDER) & alike & ~near.beyond_border.numpy()
-        push = np.zeros_like(moved)
+        push = np.zeros_like(vertices)
         chosen = np.flatnonzero(out)
         if len(chosen):
-            room = np.maximum(body.signed_distances(moved[chosen]) - _SKIN_CLEARANCE, 0.0)
+            room = np.maximum(body.signed_distances(vertices[chosen]) - _SKIN_CLEARANCE, 0.0)
             push[chosen] = -np.minimum(distance[chosen], room)[:, None] * normals[chosen]
         return push
 
@@ -142,10 +142,10 @@ def _laid_over(
     """Positions (vertices, 3) [m] of a garment, what lies beneath others brought over them."""
     layers = [_Layer(garment, vertices) for garment, vertices in zip(inner, inner_places, strict=True)]
 
-    def push_at(moved: np.ndarray) -> np.ndarray:
-        push = np.zeros_like(moved)
+    def push_at(vertices: np.ndarray) -> np.ndarray:
+        push = np.zeros_like(vertices)
         for layer in layers:
-            for more in (layer.over(moved), layer.let_under(moved, outer)):
+            for more in (layer.over(vertices), layer.let_under(vertices, outer)):
                 larger = np.einsum("ij,ij->i", more, more) > np.einsum("ij,ij->i", push, push)
                 push[larger] = more[larger]
         return push
@@ -160,17 +160,17 @@ def _pushed(
 
     First the cloth around moves along, so that it does not crease; then what this undid is pushed alone.
     """
-    spread, moved = neighbour_mean(garment.topology), start
-    for made in range(_SMOOTHING_PASSES + _PROJECTION_PASSES):
-        push = push_at(moved)
+    spread, vertices = neighbour_mean(garment.topology), start
+    for passes in range(_SMOOTHING_PASSES + _PROJECTION_PASSES):
+        push = push_at(vertices)
         if not (np.abs(push) > 1e-6).any():
             break
-        displacement = moved + push - start
-        if made < _SMOOTHING_PASSES:
+        displacement = vertices + push - start
+        if passes < _SMOOTHING_PASSES:
             displacement = 0.5 * (displacement + spread @ displacement)
         far = np.linalg.norm(displacement, axis=1, keepdims=True)
-        moved = start + displacement * np.minimum(1.0, reach / np.maximum(far, 1e-12))
-    return moved
+        vertices = start + displacement * np.minimum(1.0, reach / np.maximum(far, 1e-12))
+    return vertices
 
 
 class _Layer:

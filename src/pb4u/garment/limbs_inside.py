@@ -54,9 +54,9 @@ def with_limbs_inside(garment: Garment, body: ShapedBody | AnimatedBody) -> Garm
     if not limbs or not rest.is_closed:
         return garment
     pushed = push_out(garment.vertices, garment.topology, rest)
-    if left := limbs_outside(pushed, garment.faces, body):
+    if bones := limbs_outside(pushed, garment.faces, body):
         raise InputError(
-            f"{garment.name}: through it, not inside it, is {plain_names(left)} of the body {body.name} at rest; pose "
+            f"{garment.name}: through it, not inside it, is {plain_names(bones)} of the body {body.name} at rest; pose "
             "its sleeves and legs around the limbs where it was made, or take the body that it was made for."
         )
     farthest = 100.0 * float(np.linalg.norm(pushed - garment.vertices, axis=1).max())

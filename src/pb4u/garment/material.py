@@ -142,8 +142,8 @@ class Material:
         Raises:
             InputError: a number is out of its range.
         """
-        given = {"lame_mu": lame_mu, "lame_lambda": lame_lambda, "bending": bending, "thickness": thickness}
-        for name, value in given.items():
+        numbers = {"lame_mu": lame_mu, "lame_lambda": lame_lambda, "bending": bending, "thickness": thickness}
+        for name, value in numbers.items():
             _check_range(name, value)
         mu, lam = lame_mu * thickness, lame_lambda * thickness
         along = 2.0 * mu + lam
@@ -160,9 +160,9 @@ class Material:
             InputError: a number is out of its range.
             TypeError: a field is missing.
         """
-        known = set(cls.__dataclass_fields__) if "warp_stiffness" in record else ISOTROPIC
+        names = set(cls.__dataclass_fields__) if "warp_stiffness" in record else ISOTROPIC
         make = cls if "warp_stiffness" in record else cls.isotropic
-        return make(**{name: value for name, value in record.items() if name in known})
+        return make(**{name: value for name, value in record.items() if name in names})
 
     @classmethod
     def named(cls, name_or_path: str | Path) -> Material:
@@ -176,11 +176,11 @@ class Material:
     @property
     def numbers(self) -> dict[str, float]:
         """Its numbers by name, in their units; a bending stiffness by direction is three."""
-        own = {name: value for name, value in vars(self).items() if name not in ("source", "bending_stiffness")}
+        numbers = {name: value for name, value in vars(self).items() if name not in ("source", "bending_stiffness")}
         bending = self.bending_stiffness
         if not isinstance(bending, DirectionalBending):
-            return own | {"bending_stiffness": bending}
-        return own | {f"bending_stiffness.{name}": value for name, value in asdict(bending).items()}
+            return numbers | {"bending_stiffness": bending}
+        return numbers | {f"bending_stiffness.{name}": value for name, value in asdict(bending).items()}
 
     @property
     def membrane(self) -> Moduli:
@@ -200,8 +200,8 @@ class Material:
     @property
     def bending(self) -> float:
         """Coefficient of a hinge [J] of the isotropic cloth that is nearest: four times its bending stiffness."""
-        own = self.bending_stiffness
-        return 4.0 * (own.mean if isinstance(own, DirectionalBending) else own)
+        stiffness = self.bending_stiffness
+        return 4.0 * (stiffness.mean if isinstance(stiffness, DirectionalBending) else stiffness)
 
     @property
     def bending_length(self) -> float:
@@ -241,10 +241,10 @@ class Material:
         Args:
             along_weft: (...,) square of the share of the edge's direction that is along the weft [1].
         """
-        own = self.bending_stiffness
-        if isinstance(own, DirectionalBending):
-            return own.hinge_coefficients(along_weft)
-        return np.full(np.shape(along_weft), 4.0 * own)
+        stiffness = self.bending_stiffness
+        if isinstance(stiffness, DirectionalBending):
+            return stiffness.hinge_coefficients(along_weft)
+        return np.full(np.shape(along_weft), 4.0 * stiffness)
 
     @property
     def five_numbers(self) -> dict[str, float]:
@@ -360,10 +360,10 @@ def _read_material(path: Path) -> Material:
         record = arcsim_fields(record, path)
     entries = set(record) if isinstance(record, dict) else set()
     isotropic = bool(entries & {"lame_mu", "lame_lambda", "bending"})
-    known = ISOTROPIC if isotropic else [entry.name for entry in fields(Material)]
-    needed = known[:4] if isotropic else known[:6]
-    if unknown := sorted(entries - set(known)):
-        raise InputError(f"The material file {path} has unknown entries {unknown}: use {', '.join(known)}.")
+    names = ISOTROPIC if isotropic else [entry.name for entry in fields(Material)]
+    needed = names[:4] if isotropic else names[:6]
+    if unknown := sorted(entries - set(names)):
+        raise InputError(f"The material file {path} has unknown entries {unknown}: use {', '.join(names)}.")
     if missing := [name for name in needed if name not in entries]:
         raise InputError(f"The material file {path} lacks {', '.join(missing)}; it must hold one object with them.")
     numbers = dict(record)

@@ -43,18 +43,18 @@ def flat_panels(vertices: np.ndarray, faces: np.ndarray, form: BodyForm, cut: Cu
         points, point_faces, offset, count = [], np.empty_like(faces), 0.0, 0
         for number in np.lexsort((first, panel_of[first])):
             panel = np.flatnonzero(island == number)
-            _, index, own = np.unique(corners[panel], return_index=True, return_inverse=True)
-            own, worn = own.reshape(-1, 3), vertices[faces[panel].ravel()[index]]
-            flat = flattened(worn, own, _EASE)
+            _, index, triangles = np.unique(corners[panel], return_index=True, return_inverse=True)
+            triangles, places = triangles.reshape(-1, 3), vertices[faces[panel].ravel()[index]]
+            flat = flattened(places, triangles, _EASE)
             if flat is None:
                 across = np.linalg.svd(middles[panel] - middles[panel].mean(axis=0), full_matrices=False)[2][1]
                 panel_of[panel[np.argsort(middles[panel] @ across)[: len(panel) // 2]]] = panel_of.max() + 1
                 break
-            flat = _upright(flat, own, worn, up[panel])
+            flat = _upright(flat, triangles, places, up[panel])
             flat += [offset, 0.0] - flat.min(axis=0)
             offset = float(flat[:, 0].max()) + _GAP
             points.append(flat)
-            point_faces[panel] = own + count
+            point_faces[panel] = triangles + count
             count += len(flat)
         else:
             return np.concatenate(points), point_faces
@@ -73,9 +73,9 @@ def _own_corners(faces: np.ndarray, panel_of: np.ndarray, vertex_count: int) -> 
     return connected_labels(faces.size, at[:, 0].ravel(), at[:, 1].ravel()).reshape(-1, 3).astype(np.int64)
 
 
-def _upright(flat: np.ndarray, faces: np.ndarray, worn: np.ndarray, up: np.ndarray) -> np.ndarray:
+def _upright(flat: np.ndarray, faces: np.ndarray, places: np.ndarray, up: np.ndarray) -> np.ndarray:
     """A panel (vertices, 2) [m] turned so that `up` (faces, 3) on its faces where it is worn points up in the mean."""
-    ways = face_areas(worn, faces) @ carried_directions(up, worn[faces], flat[faces])
+    ways = face_areas(places, faces) @ carried_directions(up, places[faces], flat[faces])
     x, y = ways / max(float(np.linalg.norm(ways)), 1e-30)
     return flat @ np.array([[y, x], [-x, y]])
 

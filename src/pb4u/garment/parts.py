@@ -112,7 +112,7 @@ class Parts:
         lowest_end, tall = vertices[:, 1].min(), np.ptp(vertices[:, 1])
         level = np.array([vertices[loop, 1].mean() for loop in loops])
         around, limbs, front = np.flatnonzero(~self._beside), np.flatnonzero(self._beside), self.open_front
-        found: dict[str, list[np.ndarray]] = {}
+        borders: dict[str, list[np.ndarray]] = {}
         legs = limbs[:0]
         if len(around):
             top = max(around, key=lambda k: vertices[loops[k], 1].max())
@@ -124,15 +124,15 @@ class Parts:
                 ends = vertices[front]
                 heights, ways = ends[..., 1].mean(axis=1), ends[:, 1] - ends[:, 0]
                 is_level = np.abs(ways[:, 1]) < 0.5 * np.linalg.norm(ways, axis=1)
-                found[upper] = [front[heights > heights.max() - _END * tall]]
-                found["hem"] = [front[(heights < heights.min() + _END * tall) & is_level]]
+                borders[upper] = [front[heights > heights.max() - _END * tall]]
+                borders["hem"] = [front[(heights < heights.min() + _END * tall) & is_level]]
             else:
-                found[upper] = [edges[top]]
+                borders[upper] = [edges[top]]
                 lowest = around[level[around].argmin()]
-                found["hem"] = [edges[k] for k in legs] if len(around) == 1 else [edges[lowest]]
-            found["cuff"] = [edges[k] for k in np.setdiff1d(limbs, legs)]
-        found["border"] = edges
-        return {name: np.concatenate(each) for name, each in found.items() if each}
+                borders["hem"] = [edges[k] for k in legs] if len(around) == 1 else [edges[lowest]]
+            borders["cuff"] = [edges[k] for k in np.setdiff1d(limbs, legs)]
+        borders["border"] = edges
+        return {name: np.concatenate(group) for name, group in borders.items() if group}
 
     def named(self, name: str, width: float | None = None) -> Part:
         """A part by name.
@@ -221,14 +221,14 @@ def with_parts(
     """
     webbing = {name: FABRICS[WEBBING] for name, ratio in elastic.items() if ratio < 1.0}
     materials = webbing | dict(materials)
-    asked = (materials, layers, interfacing, elastic)
-    names = tuple(dict.fromkeys(name for given in (*asked, widths) for name in given))
+    treatments = (materials, layers, interfacing, elastic)
+    names = tuple(dict.fromkeys(name for treatment in (*treatments, widths) for name in treatment))
     if not names:
         return garment
-    known = Parts(garment)
-    parts = [known.named(name, widths.get(name)) for name in names]
+    parts_of_garment = Parts(garment)
+    parts = [parts_of_garment.named(name, widths.get(name)) for name in names]
     for name in widths:
-        if not any(name in given for given in asked):
+        if not any(name in treatment for treatment in treatments):
             raise InputError(f"{garment.name}: its {name} has a band_width and nothing that makes it a band.")
     cloths, cloth = list(garment.materials or (garment.material,)), garment.layers
     before = garment.trims or Trims.none(len(garment.faces))
@@ -236,24 +236,24 @@ def with_parts(
     for is_band in (False, True):
         chosen = [part for part in parts if part.is_band == is_band]
         _refuse_claims(garment, chosen)
-        left = np.maximum(1.0 - sum((part.share for part in chosen), np.zeros(len(stiff))), 0.0)
+        rest = np.maximum(1.0 - sum((part.share for part in chosen), np.zeros(len(stiff))), 0.0)
         count, beneath = cloth.sum(axis=1), (cloth, stiff, gathers)
-        cloth, stiff, gathers = left[:, None] * cloth, left * stiff, [each.times(left) for each in gathers]
+        cloth, stiff, gathers = rest[:, None] * cloth, rest * stiff, [gather.times(rest) for gather in gathers]
         for part in chosen:
-            made = part.share * layers.get(part.name, count)
+            added = part.share * layers.get(part.name, count)
             if part.name in materials:
                 cloths.append(materials[part.name])
-                own = np.column_stack([np.zeros((len(made), len(cloths) - 1)), made])
-                cloth = np.column_stack([cloth, made])
+                columns = np.column_stack([np.zeros((len(added), len(cloths) - 1)), added])
+                cloth = np.column_stack([cloth, added])
             else:
-                own = np.zeros_like(cloth)
-                own[:, : beneath[0].shape[1]] = (made / count)[:, None] * beneath[0]
-                cloth = cloth + own
+                columns = np.zeros_like(cloth)
+                columns[:, : beneath[0].shape[1]] = (added / count)[:, None] * beneath[0]
+                cloth = cloth + columns
             stiff += part.share * interfacing.get(part.name, beneath[1])
             if part.name in elastic:
-                gathers.append(_Gather(own, _pull(elastic[part.name]), _ways(garment, part)))
+                gathers.append(_Gather(columns, _pull(elastic[part.name]), _ways(garment, part)))
             else:
-                gathers += [each.times(part.share) for each in beneath[2]]
+                gathers += [gather.times(part.share) for gather in beneath[2]]
     if materials or layers:
         garment = garment.with_layers(cloths, cloth)
     if interfacing or elastic:
@@ -266,10 +266,10 @@ def with_parts(
     sewn = {part.name: part for part in garment.sewn}
     for part in parts:
         name, width = part.name, widths.get(part.name, WIDTHS[part.name]) if part.is_band else None
-        made = SewnPart(
+        sewn_part = SewnPart(
             name, materials.get(name), layers.get(name), interfacing.get(name), elastic.get(name), width
         )  # fmt: skip
-        sewn[name] = sewn.get(name, made).with_all_of(made)
+        sewn[name] = sewn.get(name, sewn_part).with_all_of(sewn_part)
     return replace(garment, sewn=tuple(sewn.values()))
 
 
@@ -293,13 +293,13 @@ class _Gather(NamedTuple):
 
 def _pulls(garment: Garment, cloths: Sequence[Material], layers: np.ndarray, gathers: list[_Gather]) -> np.ndarray:
     """The pull (faces,) of elastic of one ratio on all of each face that draws as those of its parts do together."""
-    own = [each if garment.has_grain else each.without_grain for each in cloths]
+    fabrics = [fabric if garment.has_grain else fabric.without_grain for fabric in cloths]
     forces, ways = np.zeros(len(layers)), gathers[0].ways
-    for each in gathers:
-        pull = np.broadcast_to(each.pull, len(layers))
-        forces += pull * _moduli(own, each.layers, each.ways)
-        ways = np.where(((pull != 0.0) & each.layers.any(axis=1))[:, None], each.ways, ways)
-    pulls: np.ndarray = forces / _moduli(own, layers, ways)
+    for gather in gathers:
+        pull = np.broadcast_to(gather.pull, len(layers))
+        forces += pull * _moduli(fabrics, gather.layers, gather.ways)
+        ways = np.where(((pull != 0.0) & gather.layers.any(axis=1))[:, None], gather.ways, ways)
+    pulls: np.ndarray = forces / _moduli(fabrics, layers, ways)
     return pulls
 
 

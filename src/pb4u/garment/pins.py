@@ -126,13 +126,13 @@ def _from_indices(indices: np.ndarray, garment: Garment, where: str) -> np.ndarr
     bad = indices[(indices < 0) | (indices >= count)]
     if len(bad):
         raise InputError(f"{where} names vertices out of range, first {bad[:5].tolist()}; {garment.name} has {count}.")
-    listed = np.zeros(count, dtype=bool)
-    listed[indices] = True
+    is_pinned = np.zeros(count, dtype=bool)
+    is_pinned[indices] = True
     if garment.source is None or not len(indices):
-        return listed if garment.source is None else np.zeros(len(garment.vertices), dtype=bool)
+        return is_pinned if garment.source is None else np.zeros(len(garment.vertices), dtype=bool)
     corners = garment.source.barycentric.argmax(axis=1)
-    worn = np.unique(np.concatenate(garment.source.source.polygons))
-    if np.isclose(garment.source.barycentric[worn].max(axis=1), 1.0).all():
+    used = np.unique(np.concatenate(garment.source.source.polygons))
+    if np.isclose(garment.source.barycentric[used].max(axis=1), 1.0).all():
         # Every vertex of the author's is one that is simulated, be it sewn to another, which moved it.
         same = np.zeros(len(garment.vertices), dtype=bool)
         same[garment.faces[garment.source.triangle, corners][indices]] = True
@@ -140,6 +140,6 @@ def _from_indices(indices: np.ndarray, garment: Garment, where: str) -> np.ndarr
     # A simulated vertex is pinned when the author's vertex nearest to it is; and every listed vertex pins at least the
     # simulated vertex nearest to it, however coarse the mesh.
     source = garment.source.source.vertices
-    pinned: np.ndarray = listed[cKDTree(source).query(garment.vertices)[1]]
-    pinned[cKDTree(garment.vertices).query(source[listed])[1]] = True
+    pinned: np.ndarray = is_pinned[cKDTree(source).query(garment.vertices)[1]]
+    pinned[cKDTree(garment.vertices).query(source[is_pinned])[1]] = True
     return pinned

@@ -34,12 +34,12 @@ class Repaired(NamedTuple):
     Args:
         mesh: the garment.
         changes: a plain sentence for each change.
-        left: a plain sentence for each fault that was looked at and not mended.
+        remarks: a plain sentence for each fault that was looked at and not mended.
     """
 
     mesh: PolygonMesh
     changes: tuple[str, ...]
-    left: tuple[str, ...]
+    remarks: tuple[str, ...]
 
 
 def repair(source: PolygonMesh, body: ShapedBody | AnimatedBody | None = None) -> Repaired:
@@ -52,49 +52,49 @@ def repair(source: PolygonMesh, body: ShapedBody | AnimatedBody | None = None) -
         source: the garment.
         body: who wears it; without a body only the mesh itself is mended.
     """
-    said, left = list[str](), list[str]()
+    changes, remarks = list[str](), list[str]()
     if not len(SourceSurface.of(source).faces):
         return Repaired(source, (), ())
     rest = None if body is None else RestBody.of(body)
     if rest is not None:
-        source = _moved(source, rest, said, left)
-    source = _without_parts(source, rest, said, left)
-    source = _welded(source, said, left)
-    source = _without_waste(source, said)
-    source = _oriented(source, rest, said)
+        source = _moved(source, rest, changes, remarks)
+    source = _without_parts(source, rest, changes, remarks)
+    source = _welded(source, changes, remarks)
+    source = _without_waste(source, changes)
+    source = _oriented(source, rest, changes)
     if rest is not None and rest.is_closed:
-        source = _pushed_out(source, rest, said, left)
-    return Repaired(source, tuple(said), tuple(left))
+        source = _pushed_out(source, rest, changes, remarks)
+    return Repaired(source, tuple(changes), tuple(remarks))
 
 
-def _moved(source: PolygonMesh, body: RestBody, said: list[str], left: list[str]) -> PolygonMesh:
+def _moved(source: PolygonMesh, body: RestBody, changes: list[str], remarks: list[str]) -> PolygonMesh:
     surface = SourceSurface.of(source)
     threads = sewable_threads(surface)
-    worn = drawn_together(surface, threads) if len(threads) else source
-    fit = find_fit(worn.vertices[np.unique(surface.faces)], body)
+    sewn = drawn_together(surface, threads) if len(threads) else source
+    fit = find_fit(sewn.vertices[np.unique(surface.faces)], body)
     if fit.is_identity:
         return source
     if fit.is_unsure:
-        left.append("It was not moved: where on the body it belongs cannot be found out from its shape.")
+        remarks.append("It was not moved: where on the body it belongs cannot be found out from its shape.")
         return source
     if fit.unit != "metres":
-        said.append(f"Scaled by {UNITS[fit.unit]:g}, from {fit.unit} to metres.")
+        changes.append(f"Scaled by {UNITS[fit.unit]:g}, from {fit.unit} to metres.")
     if fit.axes != UPRIGHT:
-        said.append(f"Turned from {fit.axes} to {UPRIGHT}.")
+        changes.append(f"Turned from {fit.axes} to {UPRIGHT}.")
     if fit.shift.any():
-        said.append(f"Moved by {fit.move} on to the body, {1000 * fit.misfit:.0f} mm off on average.")
+        changes.append(f"Moved by {fit.move} on to the body, {1000 * fit.misfit:.0f} mm off on average.")
     if fit.front_alike:
-        left.append(f"Front and back fit alike: {fit.axes} was taken, {fit.front_alike[0]} is as likely.")
+        remarks.append(f"Front and back fit alike: {fit.axes} was taken, {fit.front_alike[0]} is as likely.")
     return replace(source, vertices=fit.apply(source.vertices))
 
 
-def _without_parts(source: PolygonMesh, body: RestBody | None, said: list[str], left: list[str]) -> PolygonMesh:
+def _without_parts(source: PolygonMesh, body: RestBody | None, changes: list[str], remarks: list[str]) -> PolygonMesh:
     """Drops what is sewn on where two faces meet already, and the inner layer of a double cloth."""
     surface = SourceSurface.of(source)
     on = sewn_on(surface)
     if on.any():
         source, count = _without(source, surface, on)
-        said.append(f"Took off {count} faces that were sewn on, as a pocket or a flap is.")
+        changes.append(f"Took off {count} faces that were sewn on, as a pocket or a flap is.")
         surface = SourceSurface.of(source)
     if not is_double(surface):
         return source
@@ -102,9 +102,9 @@ def _without_parts(source: PolygonMesh, body: RestBody | None, said: list[str], 
     inner = inner_layer(surface, heights)
     single, count = _without(source, surface, inner)
     if not inner.any() or is_double(SourceSurface.of(single)):
-        left.append("Its cloth stays double: no inner layer could be told from an outer one.")
+        remarks.append("Its cloth stays double: no inner layer could be told from an outer one.")
         return source
-    said.append(f"Kept the outer layer of its cloth, and dropped {count} faces.")
+    changes.append(f"Kept the outer layer of its cloth, and dropped {count} faces.")
     return single
 
 
@@ -125,24 +125,24 @@ def _without(source: PolygonMesh, surface: SourceSurface, faces: np.ndarray) -> 
     ), len(gone)
 
 
-def _welded(source: PolygonMesh, said: list[str], left: list[str]) -> PolygonMesh:
+def _welded(source: PolygonMesh, changes: list[str], remarks: list[str]) -> PolygonMesh:
     surface = SourceSurface.of(source)
     target = surface.weld_target
     joined = Topology(target[surface.faces], len(target))
     if not len(surface.unwelded):
         return source
     if len(joined.non_manifold_edges) > len(surface.topology.non_manifold_edges):
-        left.append("Seams were left open: welded, more than two faces would share an edge.")
+        remarks.append("Seams were left open: welded, more than two faces would share an edge.")
         return source
     if len(surface.topology.boundary_loops) and not len(joined.boundary_loops):
-        left.append("Seams were left open: welded, the garment would have no opening; is every face there twice?")
+        remarks.append("Seams were left open: welded, the garment would have no opening; is every face there twice?")
         return source
-    said.append(f"Welded {len(surface.unwelded)} border vertices.")
+    changes.append(f"Welded {len(surface.unwelded)} border vertices.")
     lines = None if source.lines is None else target[source.lines]
     return replace(source, polygons=tuple(target[p] for p in source.polygons), lines=lines)
 
 
-def _without_waste(source: PolygonMesh, said: list[str]) -> PolygonMesh:
+def _without_waste(source: PolygonMesh, changes: list[str]) -> PolygonMesh:
     """Drops faces without area, faces there twice and vertices of no face."""
     surface = SourceSurface.of(source)
     keep = np.unique(surface.polygon[surface.kept])
@@ -157,10 +157,10 @@ def _without_waste(source: PolygonMesh, said: list[str]) -> PolygonMesh:
             if uvs is not None:
                 uvs[k] = uvs[k][distinct]
     if dropped:
-        said.append(f"Dropped {dropped} face(s) without area or there twice.")
+        changes.append(f"Dropped {dropped} face(s) without area or there twice.")
     used = np.unique(np.concatenate(polygons)) if polygons else np.zeros(0, dtype=np.int64)
     if len(used) < len(source.vertices):
-        said.append(f"Dropped {len(source.vertices) - len(used)} vertices that no face uses.")
+        changes.append(f"Dropped {len(source.vertices) - len(used)} vertices that no face uses.")
     return PolygonMesh(
         source.vertices[used],
         tuple(np.searchsorted(used, p) for p in polygons),
@@ -178,17 +178,17 @@ def _kept_lines(source: PolygonMesh, used: np.ndarray) -> np.ndarray | None:
     return np.searchsorted(used, source.lines[np.isin(source.lines, used).all(axis=1)])
 
 
-def _oriented(source: PolygonMesh, body: RestBody | None, said: list[str]) -> PolygonMesh:
+def _oriented(source: PolygonMesh, body: RestBody | None, changes: list[str]) -> PolygonMesh:
     surface = SourceSurface.of(source)
     flip = surface.flipped[0]
     turn = np.zeros(len(source.polygons), dtype=bool)
     turn[surface.turned_over] = True
     if turn.any():
-        said.append(f"Turned {int(turn.sum())} face(s) over to agree with their neighbours.")
+        changes.append(f"Turned {int(turn.sum())} face(s) over to agree with their neighbours.")
     faces = np.where(flip[:, None], surface.faces[:, ::-1], surface.faces)
     if body is not None and len(faces) and is_inside_out(source.vertices, faces, body):
         turn = ~turn
-        said.append("Turned the garment right side out.")
+        changes.append("Turned the garment right side out.")
     if not turn.any():
         return source
 
@@ -199,36 +199,36 @@ def _oriented(source: PolygonMesh, body: RestBody | None, said: list[str]) -> Po
     return replace(source, polygons=turned(source.polygons), polygon_uvs=uvs)
 
 
-def _pushed_out(source: PolygonMesh, body: RestBody, said: list[str], left: list[str]) -> PolygonMesh:
+def _pushed_out(source: PolygonMesh, body: RestBody, changes: list[str], remarks: list[str]) -> PolygonMesh:
     inside = body.signed_distances(source.vertices) < 0.0
     if not inside.any():
         return source
     if inside.mean() > _DEEPEST_SHARE:
-        left.append(f"{int(inside.sum())} vertices stay inside the body: the garment is too small for it.")
+        remarks.append(f"{int(inside.sum())} vertices stay inside the body: the garment is too small for it.")
         return source
     surface = SourceSurface.of(source)
     vertices = push_out(source.vertices, surface.topology, body)
     before = len(self_crossings(source.vertices, surface.faces, sharing=True))
-    made = len(self_crossings(vertices, surface.faces, sharing=True)) - before
-    if made > 0:
+    pairs = len(self_crossings(vertices, surface.faces, sharing=True)) - before
+    if pairs > 0:
         untangled = untangle(vertices, surface.faces, gap=0.0)
         still = body.signed_distances(untangled.vertices) < 0.0
         if len(untangled.crossings) > before or still.sum() >= inside.sum():
-            left.append(
-                f"{int(inside.sum())} vertices stay inside the body: pushed out, {made} more pairs of triangles would "
+            remarks.append(
+                f"{int(inside.sum())} vertices stay inside the body: pushed out, {pairs} more pairs of triangles would "
                 "cross."
             )
             return source
         vertices = untangled.vertices
     farthest = float(np.linalg.norm(vertices - source.vertices, axis=1).max())
-    said.append(
+    changes.append(
         f"Pushed {int(inside.sum())} vertices out of the body to {1000 * CLEARANCE:.0f} mm of clearance, "
         f"by at most {1000 * farthest:.1f} mm."
     )
-    if made > 0:
-        said.append(f"Untangled {made} pairs of triangles that the push had made cross.")
+    if pairs > 0:
+        changes.append(f"Untangled {pairs} pairs of triangles that the push had made cross.")
     if count := int((body.signed_distances(vertices) < 0.0).sum()):
-        left.append(f"{count} vertices are still inside the body.")
+        remarks.append(f"{count} vertices are still inside the body.")
     return replace(source, vertices=vertices)
 
 
@@ -251,27 +251,27 @@ def push_out(vertices: np.ndarray, topology: Topology, body: RestBody) -> np.nda
     # Only cloth this near can be reached by what is pushed; the rest need not be searched in each pass.
     near = distances < 2.0 * max(0.0, -float(distances.min())) + 2.0 * CLEARANCE
     a, b = topology.edges[near[topology.edges].all(axis=1)].T
-    moved = vertices.copy()
+    places = vertices.copy()
     for _ in range(_SMOOTHING_PASSES):
-        push = np.zeros_like(moved)
-        push[near] = _push(moved[near], body, CLEARANCE)
-        across = _push(0.5 * (moved[a] + moved[b]), body, 0.25 * CLEARANCE)
+        push = np.zeros_like(places)
+        push[near] = _push(places[near], body, CLEARANCE)
+        across = _push(0.5 * (places[a] + places[b]), body, 0.25 * CLEARANCE)
         for end in (a, b):
             larger = np.einsum("ij,ij->i", across, across) > np.einsum("ij,ij->i", push[end], push[end])
             push[end[larger]] = across[larger]
         if not push.any():
             break
-        displacement = moved + push - vertices
-        moved = vertices + 0.5 * (displacement + spread @ displacement)
-    left = np.arange(len(moved))
+        displacement = places + push - vertices
+        places = vertices + 0.5 * (displacement + spread @ displacement)
+    inside = np.arange(len(places))
     for _ in range(_PROJECTION_PASSES):
-        push = _push(moved[left], body, CLEARANCE)
-        left, push = left[push.any(axis=1)], push[push.any(axis=1)]
-        if not len(left):
+        push = _push(places[inside], body, CLEARANCE)
+        inside, push = inside[push.any(axis=1)], push[push.any(axis=1)]
+        if not len(inside):
             break
         # A little further than needed: in a crease the last fraction would take forever.
-        moved[left] += 1.02 * push
-    return moved
+        places[inside] += 1.02 * push
+    return places
 
 
 def _push(points: np.ndarray, body: RestBody, clearance: float) -> np.ndarray:

@@ -44,19 +44,19 @@ def remeshed(garment: Garment, triangles: int | None) -> Garment:
     if skinning is not None:
         triangle, barycentric = nearest_places(vertices, garment.vertices, garment.faces)
         skinning = skinning.at(garment.faces[triangle], barycentric)
-    made, layers, trims, pieces = garment.face_material, garment.material_layers, garment.trims, garment.parts
+    cloth, layers, trims, pieces = garment.face_material, garment.material_layers, garment.trims, garment.parts
     place = np.full(len(garment.faces), -1)
     for number, piece in enumerate(pieces.values()):
         place[piece] = number
-    if made is not None or trims is not None or pieces:
+    if cloth is not None or trims is not None or pieces:
         nearest = nearest_places(vertices[faces].mean(axis=1), garment.vertices, garment.faces)[0]
-        made, layers = (None if values is None else values[nearest] for values in (made, layers))
+        cloth, layers = (None if values is None else values[nearest] for values in (cloth, layers))
         place, trims = place[nearest], None if trims is None else trims.at(nearest)
     author = garment.mesh if garment.source is None else garment.source.source
     other = replace(
         garment, vertices=vertices, faces=faces, pinned=np.zeros(len(vertices), dtype=bool), uvs=None, uv_faces=None,
         appearances=None, source=map_of(author), coarse_edges=(), skinning=skinning, trims=trims,
-        face_material=made, material_layers=layers, pieces=tuple(pieces), piece_of_face=place if pieces else None,
+        face_material=cloth, material_layers=layers, pieces=tuple(pieces), piece_of_face=place if pieces else None,
     )  # fmt: skip
     if not garment.pinned.any():
         return other
@@ -79,9 +79,9 @@ def map_to_same(source: PolygonMesh, simulated: np.ndarray, vertices: np.ndarray
     corner_of[faces.reshape(-1)] = np.arange(faces.size)
     triangle[simulated], column = np.divmod(corner_of, 3)
     barycentric[simulated, column] = 1.0
-    left = np.setdiff1d(np.arange(len(source.vertices)), simulated)
-    if len(left):
-        triangle[left], barycentric[left] = nearest_places(source.vertices[left], vertices, faces)
+    others = np.setdiff1d(np.arange(len(source.vertices)), simulated)
+    if len(others):
+        triangle[others], barycentric[others] = nearest_places(source.vertices[others], vertices, faces)
     return SourceMap(source, triangle, barycentric)
 
 

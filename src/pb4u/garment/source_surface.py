@@ -202,5 +202,5 @@ class SourceSurface:
         across[~(opposed & (np.abs(height) < _LAYER_GAP) & (across < size[:, None]))] = np.inf
         best = across.argmin(axis=1)
         rows = np.arange(len(centres))
-        found: np.ndarray = np.where(np.isfinite(across[rows, best]), near[rows, best], -1)
-        return found
+        opposite: np.ndarray = np.where(np.isfinite(across[rows, best]), near[rows, best], -1)
+        return opposite

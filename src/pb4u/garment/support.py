@@ -68,20 +68,20 @@ def _closing(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> tuple[n
         return resting, ()
     topology = Topology(faces, len(vertices))
     a, b = topology.edges.T
-    own = Topology(faces[resting], len(vertices)).piece_of_vertex
+    part_of_vertex = Topology(faces[resting], len(vertices)).piece_of_vertex
     loose, straps = np.zeros(len(faces), dtype=bool), []
-    for number in np.unique(own[faces[resting]]):
-        patch = own == number
+    for number in np.unique(part_of_vertex[faces[resting]]):
+        patch = part_of_vertex == number
         apart = ~patch[a] & ~patch[b]
         part = connected_labels(len(vertices), a[apart], b[apart])
         main = ~patch & (part == np.bincount(part[~patch], minlength=1).argmax()) if not patch.all() else ~patch
-        met = np.concatenate([a[patch[a] & main[b]], b[patch[b] & main[a]]])
+        contacts = np.concatenate([a[patch[a] & main[b]], b[patch[b] & main[a]]])
         middle = vertices[patch, 2].mean()
-        if len(met) and vertices[met, 2].min() < middle < vertices[met, 2].max():
+        if len(contacts) and vertices[contacts, 2].min() < middle < vertices[contacts, 2].max():
             continue
         loose |= resting & patch[faces[:, 0]]
         hung = np.unique(part[np.concatenate([a[patch[b] & ~patch[a] & ~main[a]], b[patch[a] & ~patch[b] & ~main[b]]])])
-        if len(met) and (strap := _strap(vertices, topology, patch | np.isin(part, hung), met, main)):
+        if len(contacts) and (strap := _strap(vertices, topology, patch | np.isin(part, hung), contacts, main)):
             straps.append(strap)
     return resting & ~loose, tuple(straps)
 
@@ -171,9 +171,9 @@ def _waistband(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> np.nd
         close = float(np.abs(body.signed_distances(ring)).mean()) < _CLOSE
         level = float(np.ptp(ring[:, 1])) < _LEVEL * (top - ground)
         if _WAIST[0] < height < _WAIST[1] and abs(turn) > np.pi and close and level:
-            held = np.zeros(len(vertices), dtype=bool)
-            held[loop] = True
-            return held
+            mask = np.zeros(len(vertices), dtype=bool)
+            mask[loop] = True
+            return mask
     return None
 
 
@@ -187,6 +187,6 @@ def _open_collar(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> np.
     collar = collar_of(vertices, border)
     if vertices[border, 1].min() > middle or np.abs(body.signed_distances(vertices[collar])).mean() > _CLOSE:
         return None
-    held = np.zeros(len(vertices), dtype=bool)
-    held[collar] = True
-    return held
+    mask = np.zeros(len(vertices), dtype=bool)
+    mask[collar] = True
+    return mask

@@ -51,11 +51,11 @@ def inner_layer(surface: SourceSurface, heights: np.ndarray | None = None) -> np
     gone = inner[part]
     if not gone.any():
         return gone
-    left = np.zeros(len(vertices), dtype=bool)
-    left[faces[gone]] = True
+    is_gone = np.zeros(len(vertices), dtype=bool)
+    is_gone[faces[gone]] = True
     # The rim: what hangs on vertices of the inner layer, and no part that is layered itself.
     layered = against.sum(axis=1) > _LAYERED * areas
-    rim: np.ndarray = gone | (left[faces].any(axis=1) & ~layered[part])
+    rim: np.ndarray = gone | (is_gone[faces].any(axis=1) & ~layered[part])
     return rim
 
 
@@ -126,9 +126,9 @@ def gap_between(surface: SourceSurface) -> Gap | None:
     nearest = np.full(len(vertices), -1)
     distance = np.full(len(vertices), np.inf)
     for number in numbers:
-        own, others = border[piece == number], border[piece != number]
-        distance[own], at = cKDTree(vertices[others]).query(vertices[own])
-        nearest[own] = others[at]
+        piece_border, others = border[piece == number], border[piece != number]
+        distance[piece_border], at = cKDTree(vertices[others]).query(vertices[piece_border])
+        nearest[piece_border] = others[at]
     mutual = border[(nearest[nearest[border]] == border) & (distance[border] <= _ALONG)]
     if len(mutual) < 2 * _LEAST_ALONG:
         return Gap(float(distance.min()), 0.0, 0)

@@ -58,12 +58,12 @@ def tangles(
     ]
     owners = np.sort(vertex_garment[faces[pairs, 0]], axis=1)
     centres = vertices[faces[pairs[:, 0]]].mean(axis=1)
-    found = []
+    entangled = []
     for one, other in np.unique(owners, axis=0).tolist():
         there = centres[(owners == [one, other]).all(axis=1)]
         place = there[np.linalg.norm(there - np.median(there, axis=0), axis=1).argmin()]
-        found.append(Tangle((titles[one], titles[other]), len(there), tuple(np.round(place, 4).tolist())))
-    return tuple(sorted(found, key=lambda tangle: -tangle.pairs))
+        entangled.append(Tangle((titles[one], titles[other]), len(there), tuple(np.round(place, 4).tolist())))
+    return tuple(sorted(entangled, key=lambda tangle: -tangle.pairs))
 
 
 @dataclass(frozen=True)
@@ -119,11 +119,11 @@ def untangled_start(garments: Sequence[Garment], positions: np.ndarray) -> np.nd
     start = untangle(positions, faces, mobility)
     if start.is_free:
         return start.vertices
-    left = tangles([garment.name for garment in garments], owner, start.vertices, faces, start.crossings)
-    listed = "; ".join(map(str, left[:3])) + (f"; and {len(left) - 3} more" if len(left) > 3 else "")
+    remaining = tangles([garment.name for garment in garments], owner, start.vertices, faces, start.crossings)
+    text = "; ".join(map(str, remaining[:3])) + (f"; and {len(remaining) - 3} more" if len(remaining) > 3 else "")
     mend = (
         "mend it where it was made"
-        if all(tangle.garments[0] == tangle.garments[1] for tangle in left)
+        if all(tangle.garments[0] == tangle.garments[1] for tangle in remaining)
         else "wear them in another order"
     )
-    raise InputError(f"The start cannot be untangled: {listed}; {mend}, or simulate with --self-contact off.")
+    raise InputError(f"The start cannot be untangled: {text}; {mend}, or simulate with --self-contact off.")

@@ -17,18 +17,18 @@ def textured(garment: Garment, image: bytes) -> Garment:
         garment: that wears it; where it is remeshed, its author's mesh does.
         image: content of a PNG or JPEG file.
     """
-    listed = (Appearance("texture", image=image),)
-    worn = replace(garment, appearances=Appearances(listed, np.zeros(len(garment.faces), dtype=np.int64)))
+    image_looks = (Appearance("texture", image=image),)
+    result = replace(garment, appearances=Appearances(image_looks, np.zeros(len(garment.faces), dtype=np.int64)))
     if garment.source is not None:
         mesh = garment.source.source
-        looks = Appearances(listed, np.zeros(len(mesh.polygons), dtype=np.int64))
+        looks = Appearances(image_looks, np.zeros(len(mesh.polygons), dtype=np.int64))
         uvs = (mesh.uvs, mesh.polygon_uvs) if mesh.uvs is not None else (_from_front(mesh.vertices), mesh.polygons)
         mesh = replace(mesh, uvs=uvs[0], polygon_uvs=uvs[1], appearances=looks)
-        worn = replace(worn, source=replace(garment.source, source=mesh))
-        return worn if garment.uvs is not None else replace(worn, appearances=None)
+        result = replace(result, source=replace(garment.source, source=mesh))
+        return result if garment.uvs is not None else replace(result, appearances=None)
     if garment.uvs is None:
-        return replace(worn, uvs=_from_front(garment.vertices), uv_faces=garment.faces)
-    return worn
+        return replace(result, uvs=_from_front(garment.vertices), uv_faces=garment.faces)
+    return result
 
 
 def _from_front(vertices: np.ndarray) -> np.ndarray:

@@ -44,15 +44,15 @@ def drawn_together(surface: SourceSurface, threads: np.ndarray) -> PolygonMesh:
     middle = np.stack([np.bincount(label, axis) for axis in source.vertices.T], axis=1) / members[:, None]
     at_seam = np.zeros(count, dtype=bool)
     at_seam[threads] = True
-    moved = np.where(at_seam[:, None], middle[label] - source.vertices, 0.0)
+    moves = np.where(at_seam[:, None], middle[label] - source.vertices, 0.0)
     sewn_pieces = np.unique(topology.piece_of_vertex[threads])
     free = np.isin(topology.piece_of_vertex, sewn_pieces) & ~at_seam
     if free.any():
         smooth = (diags(np.ones(count)) - neighbour_mean(topology)).tocsr()[free]
-        moved[free] = spsolve(smooth[:, free].tocsc(), -(smooth[:, at_seam] @ moved[at_seam])).reshape(-1, 3)
+        moves[free] = spsolve(smooth[:, free].tocsc(), -(smooth[:, at_seam] @ moves[at_seam])).reshape(-1, 3)
     first = np.unique(label, return_index=True)[1]
     polygons = tuple(first[label[polygon]] for polygon in source.polygons)
-    return replace(source, vertices=source.vertices + moved, polygons=polygons, lines=None)
+    return replace(source, vertices=source.vertices + moves, polygons=polygons, lines=None)
 
 
 def with_sewn_threads(garment: Garment, surface: SourceSurface, simulated: np.ndarray) -> Garment:

@@ -26,7 +26,7 @@ class Trims:
 
     @staticmethod
     def none(count: int) -> Trims:
-        """Those of faces without any.
+        """Trims of faces that have neither interfacing nor elastic.
 
         Args:
             count: number of faces.
@@ -35,11 +35,11 @@ class Trims:
 
     @property
     def columns(self) -> np.ndarray:
-        """Both side by side, (faces, 2)."""
+        """Interfacing and elastic side by side, (faces, 2)."""
         return np.stack([self.interfacing, self.elastic], axis=1)
 
     def at(self, faces: np.ndarray) -> Trims:
-        """Those of some faces.
+        """Trims of some of the faces.
 
         Args:
             faces: (...) int64.
@@ -47,11 +47,11 @@ class Trims:
         return Trims(self.interfacing[faces], self.elastic[faces])
 
     def changed(self, name: str, values: np.ndarray) -> np.ndarray:
-        """A property of the cloth beneath as it is with all of this, in its unit.
+        """A property of the cloth with its interfacing and elastic, from that of the cloth alone, in its unit.
 
         Args:
             name: attribute of `Material`.
-            values: (faces,) or (faces, numbers) of the cloth beneath.
+            values: (faces,) or (faces, numbers) of the cloth alone.
         """
         if name == "density":
             return values / self.elastic
@@ -65,7 +65,7 @@ class Trims:
 
 @dataclass(frozen=True)
 class SewnPart:
-    """What was asked for on a part of a garment; None is as the cloth beneath is.
+    """Material and trims that were asked for on a part of a garment; None leaves them as they are there.
 
     Args:
         name: of the part.
@@ -84,9 +84,9 @@ class SewnPart:
     width: float | None = None
 
     def with_all_of(self, other: SewnPart) -> SewnPart:
-        """With what was asked for on it later in the place of its own.
+        """Copy with the values of a later request, where it has any.
 
         Args:
             other: of the same name.
         """
-        return replace(self, **{name: given for name, given in vars(other).items() if given is not None})
+        return replace(self, **{name: value for name, value in vars(other).items() if value is not None})

@@ -123,14 +123,14 @@ class _Untangling:
 
     def run(self) -> Untangled:
         """Pass after pass until nothing crosses or is too near."""
-        vertices, since, rings, widenings, made = self.start, 0, 0, 0, 0
+        vertices, since, rings, widenings, passes = self.start, 0, 0, 0, 0
         best = Untangled(vertices, np.zeros((0, 2), dtype=np.int64), 0.0, 0)
-        for made in range(MOST_PASSES + 1):
+        for passes in range(MOST_PASSES + 1):
             pairs = self_crossings(vertices, self.topology.faces, sharing=True)
             pushes, nearest = (None, 0.0) if len(pairs) else self._near(vertices)
             since += 1
-            if not made or (len(pairs), -nearest) < (len(best.crossings), -best.gap):
-                best, since = Untangled(vertices, pairs, nearest, made), 0
+            if not passes or (len(pairs), -nearest) < (len(best.crossings), -best.gap):
+                best, since = Untangled(vertices, pairs, nearest, passes), 0
             if since == _GIVEN_UP or (not len(pairs) and (pushes is None or widenings == _MOST_WIDENINGS)):
                 break
             if pushes is not None:
@@ -143,18 +143,18 @@ class _Untangling:
                 vertices = self._shortened(vertices, pairs)
             if not np.linalg.norm(vertices - self.start, axis=1).max() < FARTHEST:
                 break
-        return replace(best, passes=made)
+        return replace(best, passes=passes)
 
     def _shortened(self, vertices: np.ndarray, pairs: np.ndarray) -> np.ndarray:
         """Vertices (vertices, 3) [m] after one step down the length of all contours."""
-        found = piercings(vertices, self.topology, pairs)
-        along = _descent(vertices, self.topology, found)
+        pierced = piercings(vertices, self.topology, pairs)
+        along = _descent(vertices, self.topology, pierced)
         size = np.linalg.norm(along, axis=1, keepdims=True)
-        ends, corners = self.topology.edges[found.edges], self.topology.faces[found.faces]
+        ends, corners = self.topology.edges[pierced.edges], self.topology.faces[pierced.faces]
         moves = self._moves(
             _Pushes(
                 np.column_stack([ends, corners]),
-                np.column_stack([1.0 - found.shares, found.shares, -found.barycentric]),
+                np.column_stack([1.0 - pierced.shares, pierced.shares, -pierced.barycentric]),
                 along * (self.step / np.maximum(size, 1.0)),
             )
         )
@@ -166,9 +166,9 @@ class _Untangling:
         """Displacements (vertices, 3) [m] of each vertex: the mean of the displacements that its elements need."""
         weights = self.mobility[pushes.vertices]
         reached = np.maximum((weights * pushes.shares**2).sum(axis=1), 1e-9)
-        asked = (weights * pushes.shares / reached[:, None])[:, :, None] * pushes.offsets[:, None, :]
+        moves = (weights * pushes.shares / reached[:, None])[:, :, None] * pushes.offsets[:, None, :]
         owner, count = pushes.vertices.reshape(-1), self.topology.vertex_count
-        total = np.stack([np.bincount(owner, asked[:, :, k].reshape(-1), count) for k in range(3)], axis=1)
+        total = np.stack([np.bincount(owner, moves[:, :, k].reshape(-1), count) for k in range(3)], axis=1)
         # A corner that a point lies far from hardly moves with it, and does not count as asked.
         times = np.bincount(owner, np.abs(pushes.shares).reshape(-1), count)
         return total / np.maximum(times, 1.0)[:, None]
@@ -178,13 +178,13 @@ class _Untangling:
         edges = self.topology.edges
         offset = vertices[edges[:, 1]] - vertices[edges[:, 0]]
         length = np.linalg.norm(offset, axis=1)
-        wanted = np.clip(length, _SHORTEST * self.lengths, _LONGEST * self.lengths)
-        out = np.flatnonzero(np.abs(wanted - length) > 1e-6 * self.lengths)
+        target = np.clip(length, _SHORTEST * self.lengths, _LONGEST * self.lengths)
+        out = np.flatnonzero(np.abs(target - length) > 1e-6 * self.lengths)
         if not len(out):
             return vertices
         unit = offset[out] / np.maximum(length[out], 1e-12)[:, None]
         shares = np.tile([-1.0, 1.0], (len(out), 1))
-        return vertices + self._moves(_Pushes(edges[out], shares, 0.5 * (wanted - length)[out][:, None] * unit))
+        return vertices + self._moves(_Pushes(edges[out], shares, 0.5 * (target - length)[out][:, None] * unit))
 
     def _smoothed(self, vertices: np.ndarray, pairs: np.ndarray, rings: int) -> np.ndarray:
         """Vertices with the cloth around crossing faces drawn smooth between what is `rings` edges away."""
@@ -215,29 +215,29 @@ class _Untangling:
         return _Pushes(pairs.corners[near], weights[near], push), nearest
 
 
-def _descent(vertices: np.ndarray, topology: Topology, found: Piercings) -> np.ndarray:
+def _descent(vertices: np.ndarray, topology: Topology, pierced: Piercings) -> np.ndarray:
     """Directions (piercings, 3) in which to move each edge against its face so that the contours become shorter.
 
     The contour leaves the point of crossing along the line in which the face cuts each face at the edge: along unit
     vectors R into those. With the edge's direction E and the face's normal N, moving the edge by
     R - 2 (E . R) / (E . N) N draws the point along the contour (equation 6 of the paper).
     """
-    edge = found.edges
+    edge = pierced.edges
     start = vertices[topology.edges[edge, 0]]
     way = vertices[topology.edges[edge, 1]] - start
     way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
-    cosine = np.einsum("ij,ij->i", way, found.normals)
+    cosine = np.einsum("ij,ij->i", way, pierced.normals)
     cosine = np.where(cosine < 0.0, -1.0, 1.0) * np.maximum(np.abs(cosine), _STEEPEST)
     total = np.zeros_like(way)
     for side in range(2):
         is_there = topology.edge_faces[edge, side] >= 0
         to_third = vertices[topology.edge_opposites[edge, side]] - start
         inward = to_third - np.einsum("ij,ij->i", to_third, way)[:, None] * way
-        line = np.cross(found.normals, np.cross(way, inward))
+        line = np.cross(pierced.normals, np.cross(way, inward))
         line *= np.sign(np.einsum("ij,ij->i", line, inward))[:, None]
         line /= np.maximum(np.linalg.norm(line, axis=1, keepdims=True), 1e-300)
         lift = 2.0 * np.einsum("ij,ij->i", way, line) / cosine
-        total += np.where(is_there[:, None], line - lift[:, None] * found.normals, 0.0)
+        total += np.where(is_there[:, None], line - lift[:, None] * pierced.normals, 0.0)
     return total
 
 

@@ -52,17 +52,17 @@ def _key(garment: Garment, body: ShapedBody) -> str:
 def _read(path: Path, vertices: int, bones: int) -> SkinningWeights | None:
     try:
         stored = read_arrays(path, ("bones", "weights"))
-        kept = SkinningWeights(stored["bones"].astype(np.int64), stored["weights"].astype(np.float32))
+        weights = SkinningWeights(stored["bones"].astype(np.int64), stored["weights"].astype(np.float32))
     except (InputError, KeyError, ValueError, TypeError):
         return None
     fits = (
-        kept.bones.shape == kept.weights.shape
-        and kept.bones.ndim == 2
-        and len(kept.bones) == vertices
-        and bool(((kept.bones >= 0) & (kept.bones < bones)).all())
-        and bool(np.allclose(kept.weights.sum(axis=1), 1.0, atol=1e-4))
+        weights.bones.shape == weights.weights.shape
+        and weights.bones.ndim == 2
+        and len(weights.bones) == vertices
+        and bool(((weights.bones >= 0) & (weights.bones < bones)).all())
+        and bool(np.allclose(weights.weights.sum(axis=1), 1.0, atol=1e-4))
     )
-    return kept if fits else None
+    return weights if fits else None
 
 
 def _write(path: Path, weights: SkinningWeights) -> None:

@@ -58,14 +58,14 @@ class Appearances:
         return replace(self, of_face=self.of_face[faces])
 
     def named_apart(self) -> Appearances:
-        """The same with a name of its own for each, as a file that tells them by name needs."""
-        taken, listed = set[str](), list[Appearance]()
-        for each in self.listed:
-            names = chain((each.name,), (f"{each.name}.{number}" for number in count(1)))
+        """The same with unique names, for files that refer to appearances by name."""
+        taken, renamed = set[str](), list[Appearance]()
+        for look in self.listed:
+            names = chain((look.name,), (f"{look.name}.{number}" for number in count(1)))
             name = next(name for name in names if name not in taken)
             taken.add(name)
-            listed.append(replace(each, name=name))
-        return replace(self, listed=tuple(listed))
+            renamed.append(replace(look, name=name))
+        return replace(self, listed=tuple(renamed))
 
     @staticmethod
     def joined(parts: Sequence[Appearances | None], faces: Sequence[int]) -> Appearances | None:
@@ -75,13 +75,13 @@ class Appearances:
             parts: appearances of each mesh, or None.
             faces: number of faces of each.
         """
-        known = [part or Appearances((), np.full(count, -1)) for part, count in zip(parts, faces, strict=True)]
-        listed = tuple(each for part in known for each in part.listed)
-        if not listed:
+        looks = [part or Appearances((), np.full(count, -1)) for part, count in zip(parts, faces, strict=True)]
+        all_looks = tuple(look for part in looks for look in part.listed)
+        if not all_looks:
             return None
-        starts = offsets([part.listed for part in known])
-        of_face = [np.where(part.of_face < 0, -1, part.of_face + k) for part, k in zip(known, starts, strict=False)]
-        return Appearances(listed, np.concatenate(of_face))
+        starts = offsets([part.listed for part in looks])
+        of_face = [np.where(part.of_face < 0, -1, part.of_face + k) for part, k in zip(looks, starts, strict=False)]
+        return Appearances(all_looks, np.concatenate(of_face))
 
     def members(self, prefix: str = "") -> dict[str, np.ndarray]:
         """Arrays of a trajectory file by name: (bytes,) uint8 of a JSON text and of all images, and (faces,) int64.
@@ -90,9 +90,9 @@ class Appearances:
             prefix: put before each name.
         """
         described = [
-            {"name": each.name, "colour": each.colour, "bytes": len(each.image or b"")} for each in self.listed
+            {"name": look.name, "colour": look.colour, "bytes": len(look.image or b"")} for look in self.listed
         ]
-        images = b"".join(each.image or b"" for each in self.listed)
+        images = b"".join(look.image or b"" for look in self.listed)
         return {
             f"{prefix}appearances": np.frombuffer(json.dumps(described).encode(), dtype=np.uint8),
             f"{prefix}appearance_images": np.frombuffer(images, dtype=np.uint8),
@@ -114,14 +114,14 @@ class Appearances:
         if text is None:
             return None
         images = io.BytesIO(members[f"{prefix}appearance_images"].tobytes())
-        listed = []
-        for each in parse_json(text.tobytes()):
-            red, green, blue = (min(max(float(channel), 0.0), 1.0) for channel in each["colour"])
-            listed.append(Appearance(str(each["name"]), (red, green, blue), images.read(int(each["bytes"])) or None))
+        looks = []
+        for entry in parse_json(text.tobytes()):
+            red, green, blue = (min(max(float(channel), 0.0), 1.0) for channel in entry["colour"])
+            looks.append(Appearance(str(entry["name"]), (red, green, blue), images.read(int(entry["bytes"])) or None))
         of_face = np.asarray(members[f"{prefix}appearance_of_face"])
-        if of_face.min(initial=-1) < -1 or of_face.max(initial=-1) >= len(listed):
+        if of_face.min(initial=-1) < -1 or of_face.max(initial=-1) >= len(looks):
             raise ValueError("a face has an appearance out of range")
-        return cls(tuple(listed), of_face)
+        return cls(tuple(looks), of_face)
 
 
 def read_image(path: Path) -> bytes:
@@ -174,7 +174,7 @@ def read_mtl(path: Path) -> dict[str, Appearance]:
     Args:
         path: the file.
     """
-    found: dict[str, Appearance] = {}
+    looks: dict[str, Appearance] = {}
     current = Appearance("")
     for kind, rest in statements(path):
         if kind == "newmtl":
@@ -184,26 +184,26 @@ def read_mtl(path: Path) -> dict[str, Appearance]:
         elif kind == "map_Kd":
             current = _with_image(current, path, rest)
         if current.name:
-            found[current.name] = current
-    return found
+            looks[current.name] = current
+    return looks
 
 
-def write_mtl(path: Path, listed: Sequence[Appearance]) -> None:
+def write_mtl(path: Path, looks: Sequence[Appearance]) -> None:
     """Write an MTL file, and the images beside it as NAME.texture0.png.
 
     Args:
         path: the file.
-        listed: appearances that it describes.
+        looks: appearances that it describes.
 
     Raises:
         OSError: they cannot be written.
     """
     lines = []
-    for number, each in enumerate(listed):
-        lines.append("newmtl {}\nKd {:.6g} {:.6g} {:.6g}\n".format(each.name, *each.colour))
-        if each.image is not None:
-            image = path.with_name(f"{path.stem.removesuffix('.pb4u')}.texture{number}{image_suffix(each.image)}")
-            replace_file(image, each.image)
+    for number, look in enumerate(looks):
+        lines.append("newmtl {}\nKd {:.6g} {:.6g} {:.6g}\n".format(look.name, *look.colour))
+        if look.image is not None:
+            image = path.with_name(f"{path.stem.removesuffix('.pb4u')}.texture{number}{image_suffix(look.image)}")
+            replace_file(image, look.image)
             lines.append(f"map_Kd {image.name}\n")
     replace_file(path, "".join(lines).encode())
 

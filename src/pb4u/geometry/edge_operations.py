@@ -142,15 +142,15 @@ def collapse_short_edges(
     corners = faces[touched]
     is_u, is_v = corners == u[owner][:, None], corners == v[owner][:, None]
     survives = ~(is_u.any(1) & is_v.any(1))
-    moved = np.where((is_u | is_v)[..., None], merged[owner][:, None, :], vertices[corners])
+    collapsed = np.where((is_u | is_v)[..., None], merged[owner][:, None, :], vertices[corners])
     before = vertices[corners]
     normal_before = np.cross(before[:, 1] - before[:, 0], before[:, 2] - before[:, 0])
-    normal_after = np.cross(moved[:, 1] - moved[:, 0], moved[:, 2] - moved[:, 0])
+    normal_after = np.cross(collapsed[:, 1] - collapsed[:, 0], collapsed[:, 2] - collapsed[:, 0])
     agree = np.einsum("ij,ij->i", normal_before, normal_after)
     scale = np.linalg.norm(normal_before, axis=1) * np.linalg.norm(normal_after, axis=1)
-    sides = np.linalg.norm(moved - np.roll(moved, 1, axis=1), axis=2)
+    sides = np.linalg.norm(collapsed - np.roll(collapsed, 1, axis=1), axis=2)
     thin = np.linalg.norm(normal_after, axis=1) < 0.1 * sides.max(axis=1) ** 2
-    thinner = thin & (_triangle_quality(moved) < _triangle_quality(before))
+    thinner = thin & (_triangle_quality(collapsed) < _triangle_quality(before))
     bad = survives & ((agree < 0.3 * scale) | (sides.max(axis=1) > longest) | thinner)
     good &= np.bincount(owner[bad], minlength=len(u)) == 0
 
@@ -162,10 +162,10 @@ def collapse_short_edges(
     target[v[good]] = u[good]
     faces = target[faces]
     faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-    kept = np.zeros(len(vertices), dtype=bool)
-    kept[faces] = True
-    renumber = np.cumsum(kept) - 1
-    return vertices[kept], renumber[faces], locked[kept], int(good.sum())
+    is_used = np.zeros(len(vertices), dtype=bool)
+    is_used[faces] = True
+    renumber = np.cumsum(is_used) - 1
+    return vertices[is_used], renumber[faces], locked[is_used], int(good.sum())
 
 
 def _independent(
@@ -202,16 +202,16 @@ def _independent(
     return np.sort(np.concatenate(chosen)) if chosen else candidates
 
 
-def _spare_border_edges(mesh: Topology, wanted: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+def _spare_border_edges(mesh: Topology, edges: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """(wanted,) bool: border edges that may go without leaving a loop with fewer than `_SMALLEST_LOOP` edges."""
     ends = mesh.edges[mesh.edge_face_counts == 1]
     loop_of = connected_labels(mesh.vertex_count, *ends.T)
     sizes = np.bincount(loop_of[ends[:, 0]])
-    loops = loop_of[mesh.edges[wanted, 0]]
-    order = np.lexsort((lengths[wanted], loops))
+    loops = loop_of[mesh.edges[edges, 0]]
+    order = np.lexsort((lengths[edges], loops))
     sorted_loops = loops[order]
     rank = np.arange(len(order)) - np.searchsorted(sorted_loops, sorted_loops)
-    spare = np.empty(len(wanted), dtype=bool)
+    spare = np.empty(len(edges), dtype=bool)
     spare[order] = rank < sizes[sorted_loops] - _SMALLEST_LOOP
     return spare
 

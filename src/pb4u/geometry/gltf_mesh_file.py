@@ -108,13 +108,13 @@ def _part(file: GltfFile, primitive: dict[str, Any], node: int, still: np.ndarra
     if mirrored:
         faces = faces[:, ::-1]
     _, texture = _colour_and_texture(file, material)
-    moved = texture.get("extensions", {}).get("KHR_texture_transform", {})
-    name = f"TEXCOORD_{moved.get('texCoord', texture.get('texCoord', 0))}"
+    transform = texture.get("extensions", {}).get("KHR_texture_transform", {})
+    name = f"TEXCOORD_{transform.get('texCoord', texture.get('texCoord', 0))}"
     if name not in attributes:
         return _Part(vertices, faces, None, material, piece)
     uvs = file.array(attributes[name]).astype(np.float64).reshape(len(vertices), 2)
     # A turn, which this extension can give too, is not read: no exporter of garments writes one.
-    uvs = uvs * np.array(moved.get("scale", (1.0, 1.0))) + np.array(moved.get("offset", (0.0, 0.0)))
+    uvs = uvs * np.array(transform.get("scale", (1.0, 1.0))) + np.array(transform.get("offset", (0.0, 0.0)))
     return _Part(vertices, faces, np.stack([uvs[:, 0], 1.0 - uvs[:, 1]], axis=1), material, piece)
 
 
@@ -129,7 +129,7 @@ def _colour_and_texture(file: GltfFile, material: int | None) -> tuple[list[floa
 
 def _appearances(file: GltfFile, parts: list[_Part], laid_on: bool) -> Appearances | None:
     """Base colours and images of the parts; images only where UVs say how they are laid on."""
-    listed, places = list[Appearance](), dict[int | None, int]()
+    looks, places = list[Appearance](), dict[int | None, int]()
     for material in dict.fromkeys(part.material for part in parts):
         factor, texture = _colour_and_texture(file, material)
         if material is None or (factor is None and not (texture and laid_on)):
@@ -137,12 +137,12 @@ def _appearances(file: GltfFile, parts: list[_Part], laid_on: bool) -> Appearanc
         name = str(file.entries("materials")[material].get("name") or "material")
         linear = np.clip(np.ones(3) if factor is None else np.array(factor[:3], dtype=np.float64), 0.0, 1.0)
         red, green, blue = (linear ** (1 / 2.2)).tolist()
-        places[material] = len(listed)
-        listed.append(Appearance(name, (red, green, blue), _image(file, name, texture) if laid_on else None))
-    if not listed:
+        places[material] = len(looks)
+        looks.append(Appearance(name, (red, green, blue), _image(file, name, texture) if laid_on else None))
+    if not looks:
         return None
     return Appearances(
-        tuple(listed), np.repeat([places.get(part.material, -1) for part in parts], [len(part.faces) for part in parts])
+        tuple(looks), np.repeat([places.get(part.material, -1) for part in parts], [len(part.faces) for part in parts])
     )
 
 

@@ -53,10 +53,10 @@ def node_transforms(file: GltfFile) -> np.ndarray:
     entries = file.entries("nodes")
     result = np.zeros((len(entries), 4, 4))
     for node in order:
-        own = _transform(entries[node])
-        if not np.isfinite(own).all():
+        transform = _transform(entries[node])
+        if not np.isfinite(transform).all():
             raise ValueError(f"node {node} has no finite place")
-        result[node] = own if parents[node] < 0 else result[parents[node]] @ own
+        result[node] = transform if parents[node] < 0 else result[parents[node]] @ transform
     return result
 
 
@@ -140,12 +140,12 @@ def placed(
     """
     skin = file.entries("nodes")[node].get("skin")
     if skin is None or "JOINTS_0" not in attributes:
-        moved = still[node][None]
+        transforms = still[node][None]
         vertices = positions @ still[node][:3, :3].T + still[node][:3, 3]
     else:
         nodes, inverses = read_skins(file, {skin})
-        moved = still[nodes[skin]] @ inverses[skin]
+        transforms = still[nodes[skin]] @ inverses[skin]
         joints, weights = influences(file, attributes, len(positions), len(nodes[skin]))
-        blended = np.einsum("vk,vkij->vij", weights, moved[joints])
+        blended = np.einsum("vk,vkij->vij", weights, transforms[joints])
         vertices = np.einsum("vij,vj->vi", blended[:, :3, :3], positions) + blended[:, :3, 3]
-    return vertices, bool(np.linalg.det(moved[0, :3, :3]) < 0.0)
+    return vertices, bool(np.linalg.det(transforms[0, :3, :3]) < 0.0)

@@ -146,7 +146,7 @@ def read_off(path: Path) -> PolygonMesh:
 
 
 def no_faces(path: Path) -> InputError:
-    """What is said of a file without faces.
+    """Error for a file without faces.
 
     Args:
         path: the file.

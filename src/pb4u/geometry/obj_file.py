@@ -39,7 +39,7 @@ class _Content(NamedTuple):
     faces: list[tuple[int, bytes, int, int]]
     used: list[tuple[int, str]]
     lines: list[tuple[int, bytes, int]]
-    named: dict[str, list[tuple[int, str]]]
+    groups: dict[str, list[tuple[int, str]]]
 
 
 def read_obj(path: Path) -> PolygonMesh:
@@ -78,7 +78,7 @@ def read_obj(path: Path) -> PolygonMesh:
 
 def _objects(content: _Content, count: int) -> tuple[tuple[str, ...], np.ndarray | None]:
     """Names of the objects, or else of the groups, and the number of that of each of `count` faces."""
-    begun = content.named["o"] or content.named["g"]
+    begun = content.groups["o"] or content.groups["g"]
     if not begun:
         return (), None
     names = list(dict.fromkeys(["", *(name for _, name in begun)]))
@@ -89,18 +89,18 @@ def _objects(content: _Content, count: int) -> tuple[tuple[str, ...], np.ndarray
 
 def _appearances(path: Path, used: Sequence[str], of_face: np.ndarray, laid_on: bool) -> Appearances | None:
     """Appearances of faces, `of_face` (faces,) which of the `used` materials each has; images need `laid_on`."""
-    known: dict[str, Appearance] = {}
+    library_looks: dict[str, Appearance] = {}
     for name, library in named_libraries(path):
         if library is not None:
-            known |= read_mtl(library)
+            library_looks |= read_mtl(library)
         elif len(used) > 1:
             warn(f"{path.name}: the MTL file {name[:60]} is missing; put it beside the file to see its colours.")
-    listed = [known[name] for name in dict.fromkeys(used) if name in known]
-    if not listed:
+    looks = [library_looks[name] for name in dict.fromkeys(used) if name in library_looks]
+    if not looks:
         return None
-    places = {each.name: k for k, each in enumerate(listed)}
+    places = {look.name: k for k, look in enumerate(looks)}
     of_part = np.array([places.get(name, -1) for name in used])
-    return Appearances(tuple(each if laid_on else replace(each, image=None) for each in listed), of_part[of_face])
+    return Appearances(tuple(look if laid_on else replace(look, image=None) for look in looks), of_part[of_face])
 
 
 def read_obj_vertices(path: Path) -> tuple[np.ndarray, bytes]:
@@ -133,32 +133,32 @@ def left_out(path: Path, mesh: PolygonMesh) -> list[str]:
     """
     text = joined_lines(path)
     lines = {"groups": rb"g[ \t]+\S", "object names": rb"o[ \t]+\S", "vertex colours": rb"v([ \t]+[^\s#]+){6}"}
-    found = [what for what, line in lines.items() if re.search(rb"(?m)^[ \t]*" + line, text)]
+    kinds = [what for what, line in lines.items() if re.search(rb"(?m)^[ \t]*" + line, text)]
     used = {text_of(name.strip()) for name in re.findall(rb"(?m)^[ \t]*usemtl[ \t](.*)", text)}
-    known = set() if mesh.appearances is None else {each.name for each in mesh.appearances.listed}
-    return found + (["materials without an MTL"] if used - known - {"", "none"} else [])
+    names = set() if mesh.appearances is None else {look.name for look in mesh.appearances.listed}
+    return kinds + (["materials without an MTL"] if used - names - {"", "none"} else [])
 
 
 def _content(path: Path) -> _Content:
     """Lines of vertices, texture coordinates and faces; continued lines count as one."""
-    found = _Content([], [], [], [], [], {"o": [], "g": []})
+    content = _Content([], [], [], [], [], {"o": [], "g": []})
     for number, line in enumerate(joined_lines(path).split(b"\n"), 1):
         line = line.lstrip()
         kind = line[:2]
         if kind in (b"v ", b"v\t"):
-            found.vertices.append((number, line))
+            content.vertices.append((number, line))
         elif kind in (b"f ", b"f\t"):
             # Negative indices count back from what has been read so far.
-            found.faces.append((number, line, len(found.vertices), len(found.uvs)))
+            content.faces.append((number, line, len(content.vertices), len(content.uvs)))
         elif kind in (b"l ", b"l\t"):
-            found.lines.append((number, line, len(found.vertices)))
+            content.lines.append((number, line, len(content.vertices)))
         elif kind == b"vt":
-            found.uvs.append((number, line))
+            content.uvs.append((number, line))
         elif kind in (b"o ", b"g ", b"o\t", b"g\t"):
-            found.named[kind[:1].decode()].append((len(found.faces), text_of(line[1:].strip())))
+            content.groups[kind[:1].decode()].append((len(content.faces), text_of(line[1:].strip())))
         elif line.startswith(b"usemtl"):
-            found.used.append((len(found.faces), text_of(line[6:].strip())))
-    return found
+            content.used.append((len(content.faces), text_of(line[6:].strip())))
+    return content
 
 
 def _table(path: Path, lines: Lines, width: int, what: str) -> np.ndarray:
@@ -171,13 +171,13 @@ def _table(path: Path, lines: Lines, width: int, what: str) -> np.ndarray:
         raise InputError(f"{path} line {number}: a {what} needs {width} numbers; mend or export it again.") from None
     bad = np.flatnonzero(~(np.abs(table) <= _LARGEST).all(axis=1))
     if len(bad):
-        told = (
+        fault = (
             f"{len(bad)} {what} line(s) hold NaN or infinite numbers, or such above {_LARGEST:g}, first at "
             f"line {lines[bad[0]][0]} ({what} {bad[0] + 1})"
         )
         if width == 3:
-            raise InputError(f"{path}: {told}; delete or mend them and export again.")
-        warn(f"{path.name}: {told}; zero is taken for them.")
+            raise InputError(f"{path}: {fault}; delete or mend them and export again.")
+        warn(f"{path.name}: {fault}; zero is taken for them.")
         table[bad] = 0.0
     return table
 

@@ -62,13 +62,13 @@ def read_ply(path: Path) -> PolygonMesh:
         return PolygonMesh(vertices, tuple(polygons), uvs, tuple(polygons))
 
 
-def _corner_uvs(polygons: list[np.ndarray], given: Sequence[np.ndarray]) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+def _corner_uvs(polygons: list[np.ndarray], rows: Sequence[np.ndarray]) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
     """UV points (points, 2), each once, and those of the corners of each polygon; (0, 0) of one without."""
-    known = [
+    corner_rows = [
         row if len(row) == 2 * len(polygon) else np.zeros(2 * len(polygon))
-        for polygon, row in zip(polygons, given, strict=True)
+        for polygon, row in zip(polygons, rows, strict=True)
     ]
-    uvs, places = np.unique(np.concatenate(known).astype(np.float64).reshape(-1, 2), axis=0, return_inverse=True)
+    uvs, places = np.unique(np.concatenate(corner_rows).astype(np.float64).reshape(-1, 2), axis=0, return_inverse=True)
     return uvs, tuple(np.split(places.reshape(-1), np.cumsum([len(polygon) for polygon in polygons])[:-1]))
 
 
@@ -94,13 +94,13 @@ def _elements(content: bytes) -> dict[str, Mapping[str, Any]]:
         # Text becomes bytes of one kind, so that both are read in one way.
         body = np.array(body.split(), dtype=np.float64).astype("<f8").tobytes()
         columns = {
-            name: (count, [_Property(each.name, "<f8", each.size_kind and "<f8") for each in properties])
+            name: (count, [_Property(entry.name, "<f8", entry.size_kind and "<f8") for entry in properties])
             for name, (count, properties) in columns.items()
         }
-    found, place = {}, 0
+    elements, place = {}, 0
     for name, (count, properties) in columns.items():
-        found[name], place = _columns(body, place, count, properties)
-    return found
+        elements[name], place = _columns(body, place, count, properties)
+    return elements
 
 
 def _columns(content: bytes, place: int, count: int, properties: list[_Property]) -> tuple[Mapping[str, Any], int]:
@@ -109,17 +109,17 @@ def _columns(content: bytes, place: int, count: int, properties: list[_Property]
         return {}, place
     first, _ = _row(content, place, properties)
     fields: list[tuple[Any, ...]] = []
-    for each in properties:
-        if each.size_kind:
-            fields.append((f"{each.name} size", each.size_kind))
-        fields.append((each.name, each.kind, (len(first[each.name]),) if each.size_kind else ()))
+    for entry in properties:
+        if entry.size_kind:
+            fields.append((f"{entry.name} size", entry.size_kind))
+        fields.append((entry.name, entry.kind, (len(first[entry.name]),) if entry.size_kind else ()))
     kind = np.dtype(fields)
     if place + count * kind.itemsize <= len(content):
         table = np.frombuffer(content, kind, count, place)
-        lists = [each.name for each in properties if each.size_kind]
+        lists = [entry.name for entry in properties if entry.size_kind]
         if all((table[f"{name} size"] == len(first[name])).all() for name in lists):
-            return {each.name: table[each.name] for each in properties}, place + count * kind.itemsize
-    rows: dict[str, list[np.ndarray]] = {each.name: [] for each in properties}
+            return {entry.name: table[entry.name] for entry in properties}, place + count * kind.itemsize
+    rows: dict[str, list[np.ndarray]] = {entry.name: [] for entry in properties}
     for _ in range(count):
         row, place = _row(content, place, properties)
         for name, values in row.items():
@@ -129,7 +129,7 @@ def _columns(content: bytes, place: int, count: int, properties: list[_Property]
 
 def _row(content: bytes, place: int, properties: list[_Property]) -> tuple[dict[str, np.ndarray], int]:
     """Values of one row at a place, and where it ends."""
-    found = {}
+    values = {}
     for name, kind, size_kind in properties:
         size = 1
         if size_kind:
@@ -137,6 +137,6 @@ def _row(content: bytes, place: int, properties: list[_Property]) -> tuple[dict[
             place += np.dtype(size_kind).itemsize
         if size < 0:
             raise ValueError("a list has fewer numbers than none")
-        found[name] = np.frombuffer(content, kind, size, place) if size else np.zeros(0, dtype=kind)
+        values[name] = np.frombuffer(content, kind, size, place) if size else np.zeros(0, dtype=kind)
         place += size * np.dtype(kind).itemsize
-    return found, place
+    return values, place

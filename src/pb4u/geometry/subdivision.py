@@ -82,9 +82,9 @@ def loop_weights(split: Split, faces: np.ndarray, vertices: int) -> csr_matrix:
     across = edges[:, ::-1].ravel()
     followed = (at_border[ends] == 0) | np.repeat(border, 2)
     entries.append((ends[followed], across[followed], share[ends[followed]]))
-    rows, columns, weights = (np.concatenate(each) for each in zip(*entries, strict=True))
-    kept = 1.0 - np.bincount(rows[rows < vertices], weights[rows < vertices], minlength=vertices)
+    rows, columns, weights = (np.concatenate(part) for part in zip(*entries, strict=True))
+    own_weight = 1.0 - np.bincount(rows[rows < vertices], weights[rows < vertices], minlength=vertices)
     old = np.arange(vertices)
     places = np.concatenate([rows, old]), np.concatenate([columns, old])
     shape = vertices + len(edges), vertices
-    return coo_matrix((np.concatenate([weights, kept]), places), shape=shape).tocsr()
+    return coo_matrix((np.concatenate([weights, own_weight]), places), shape=shape).tocsr()

@@ -54,8 +54,8 @@ def _least_turned(quads: np.ndarray, order: tuple[int, int, int, int]) -> np.nda
     areas = np.stack(
         [np.einsum("qi,qi->q", np.cross(b - a, c - a), normals), np.einsum("qi,qi->q", np.cross(c - a, d - a), normals)]
     )
-    whole = np.einsum("qi,qi->q", normals, normals)
-    return areas.min(axis=0) / np.where(whole > 0.0, whole, 1.0)
+    area = np.einsum("qi,qi->q", normals, normals)
+    return areas.min(axis=0) / np.where(area > 0.0, area, 1.0)
 
 
 def _clip_ears(points: np.ndarray) -> np.ndarray:
@@ -67,36 +67,36 @@ def _clip_ears(points: np.ndarray) -> np.ndarray:
     u = np.cross(axis, normal)
     flat = np.stack([points @ u, points @ np.cross(normal, u)], axis=1)
     count = len(points)
-    before, after, left = np.roll(np.arange(count), 1), np.roll(np.arange(count), -1), np.ones(count, dtype=bool)
-    quality = np.array([_ear_quality(flat, left, before[k], k, after[k]) for k in range(count)])
+    before, after, is_left = np.roll(np.arange(count), 1), np.roll(np.arange(count), -1), np.ones(count, dtype=bool)
+    quality = np.array([_ear_quality(flat, is_left, before[k], k, after[k]) for k in range(count)])
     ears: list[tuple[int, int, int]] = []
     while len(ears) < count - 3:
         best = int(quality.argmax())
         if quality[best] <= 0.0:
             # Only a polygon that crosses itself has no ear; what is clipped then is as good as anything.
-            rest = np.flatnonzero(left).tolist()
-            quality[rest] = [_ear_quality(flat, left, before[k], k, after[k]) for k in rest]
-            best = int(np.where(left, quality, -np.inf).argmax())
+            rest = np.flatnonzero(is_left).tolist()
+            quality[rest] = [_ear_quality(flat, is_left, before[k], k, after[k]) for k in rest]
+            best = int(np.where(is_left, quality, -np.inf).argmax())
         a, c = int(before[best]), int(after[best])
         ears.append((a, best, c))
-        left[best], quality[best] = False, -np.inf
+        is_left[best], quality[best] = False, -np.inf
         after[a], before[c] = c, a
         # A clipped corner is convex, and alone keeps no other from being an ear: only the two beside it change.
         for k in (a, c):
-            quality[k] = _ear_quality(flat, left, before[k], k, after[k])
-    a, b, c = np.flatnonzero(left).tolist()
+            quality[k] = _ear_quality(flat, is_left, before[k], k, after[k])
+    a, b, c = np.flatnonzero(is_left).tolist()
     ears.append((a, b, c))
     return np.array(ears, dtype=np.int64)
 
 
-def _ear_quality(flat: np.ndarray, left: np.ndarray, before: int, at: int, after: int) -> float:
+def _ear_quality(flat: np.ndarray, is_left: np.ndarray, before: int, at: int, after: int) -> float:
     """Signed area of the ear at a corner over its squared perimeter; -1 when another corner that is left lies in it."""
     a, b, c = corners = flat[[before, at, after]]
     sides = np.array([b - a, c - b, a - c])
     area = float(sides[0, 0] * sides[1, 1] - sides[0, 1] * sides[1, 0])
     if area <= 0.0:
         return -1.0
-    others = left.copy()
+    others = is_left.copy()
     others[[before, at, after]] = False
     offsets = flat[others][:, None] - corners
     crosses = sides[:, 0] * offsets[..., 1] - sides[:, 1] * offsets[..., 0]

@@ -35,11 +35,11 @@ def read_arrays(path: Path, names: Iterable[str] | None = None) -> dict[str, np.
         InputError: it is no .npz of plain arrays, or would take more memory than it may.
     """
     with open_archive(path, names) as archive:
-        wanted = None if names is None else set(names)
+        members = None if names is None else set(names)
         return {
             name: read_member(archive, member)
             for member in archive.infolist()
-            if (name := member.filename.removesuffix(".npy")) and (wanted is None or name in wanted)
+            if (name := member.filename.removesuffix(".npy")) and (members is None or name in members)
         }
 
 
@@ -90,11 +90,11 @@ def open_archive(path: Path, names: Iterable[str] | None = None) -> Iterator[zip
     Raises:
         InputError: there is no such file, it is damaged, or those arrays would take more memory than they may.
     """
-    wanted = None if names is None else set(names)
+    members = None if names is None else set(names)
     try:
         with zipfile.ZipFile(path) as archive:
             sizes = {member.filename.removesuffix(".npy"): member.file_size for member in archive.infolist()}
-            require_room(path, sum(size for name, size in sizes.items() if wanted is None or name in wanted))
+            require_room(path, sum(size for name, size in sizes.items() if members is None or name in members))
             yield archive
     except FileNotFoundError as error:
         raise InputError(f"There is no file {path}.") from error

@@ -126,16 +126,16 @@ def check_writable(path: Path, flag: str | None = None) -> None:
     Raises:
         InputError: its folder is absent or read-only, it is read-only itself, or its name is taken by a folder.
     """
-    named = f" for {flag}" if flag else ""
+    purpose = f" for {flag}" if flag else ""
     if not path.parent.is_dir():
-        raise InputError(f"The folder {path.parent}{named} does not exist; make it first.")
+        raise InputError(f"The folder {path.parent}{purpose} does not exist; make it first.")
     if path.is_dir():
-        raise InputError(f"{path}{named} is a folder; give the name of a file.")
+        raise InputError(f"{path}{purpose} is a folder; give the name of a file.")
     folder = Path(os.path.realpath(path)).parent if path.is_symlink() else path.parent
     if not _is_special(path) and not os.access(folder, os.W_OK):
-        raise InputError(f"The folder {folder}{named} cannot be written to.")
+        raise InputError(f"The folder {folder}{purpose} cannot be written to.")
     if path.exists() and not os.access(path, os.W_OK):
-        raise InputError(f"{path}{named} is write-protected; give another name, or take the protection off.")
+        raise InputError(f"{path}{purpose} is write-protected; give another name, or take the protection off.")
 
 
 def _is_special(path: Path) -> bool:

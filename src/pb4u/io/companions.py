@@ -26,20 +26,20 @@ def with_companions(path: Path) -> list[Path]:
         return [path, *_named_within(path)]
     looks = _looks_of(path) if kind == ".obj" else []
     if kind == ".npy":  # of TRAM
-        return [path, *{each for up in path.absolute().parents[:2] if (each := up / "camera.npy").is_file()}]
-    near = (each for each in path.absolute().parent.glob("*") if each.suffix.lower() in _BESIDE.get(kind, ()))
-    return [path, *(each for each in near if each.suffix.lower() == ".asf" or each.stem == path.stem), *looks]
+        return [path, *{camera for up in path.absolute().parents[:2] if (camera := up / "camera.npy").is_file()}]
+    near = (file for file in path.absolute().parent.glob("*") if file.suffix.lower() in _BESIDE.get(kind, ()))
+    return [path, *(file for file in near if file.suffix.lower() == ".asf" or file.stem == path.stem), *looks]
 
 
 def _looks_of(path: Path) -> list[Path]:
     """The MTL files of an OBJ, and the images that they name."""
-    found: list[Path] = []
+    files: list[Path] = []
     with suppress(OSError):
         for library in libraries_of(path):
-            found.append(library)
+            files.append(library)
             images = [image_of(library, rest) for kind, rest in statements(library) if kind == "map_Kd"]
-            found += [image for image in images if image is not None]
-    return list(dict.fromkeys(found))
+            files += [image for image in images if image is not None]
+    return list(dict.fromkeys(files))
 
 
 def _named_within(path: Path) -> list[Path]:
@@ -49,6 +49,6 @@ def _named_within(path: Path) -> list[Path]:
             names = [read_tables(path, "a sewing pattern").get("svg")]
         else:
             document = parse_json(path.read_bytes())
-            names = [unquote(each.get("uri", "")) for kind in ("buffers", "images") for each in document.get(kind, ())]
+            names = [unquote(part.get("uri", "")) for kind in ("buffers", "images") for part in document.get(kind, ())]
         return [path.parent / name for name in names if name and (path.parent / name).is_file()]
     return []

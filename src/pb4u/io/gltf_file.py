@@ -54,8 +54,8 @@ class GltfFile:
         Args:
             name: of a list, such as "nodes".
         """
-        found = self.document.get(name, [])
-        return found if isinstance(found, list) else []
+        entries = self.document.get(name, [])
+        return entries if isinstance(entries, list) else []
 
     def array(self, index: int) -> np.ndarray:
         """The array of an accessor, sparse values put in, normalised whole numbers as shares.
@@ -81,11 +81,11 @@ class GltfFile:
             values = np.zeros((count, width), dtype=kind)
         if sparse := accessor.get("sparse"):
             places, changed = sparse["indices"], sparse["values"]
-            whole = np.dtype(_TYPES[places["componentType"]])
-            rows = self._view(places["bufferView"], places.get("byteOffset", 0), whole, sparse["count"], 1)[:, 0]
-            given = self._view(changed["bufferView"], changed.get("byteOffset", 0), kind, sparse["count"], width)
+            integer = np.dtype(_TYPES[places["componentType"]])
+            rows = self._view(places["bufferView"], places.get("byteOffset", 0), integer, sparse["count"], 1)[:, 0]
+            replaced = self._view(changed["bufferView"], changed.get("byteOffset", 0), kind, sparse["count"], width)
             values = values.copy()
-            values[rows] = given
+            values[rows] = replaced
         if kind.kind == "f" or accessor.get("normalized"):
             scale = 1.0 if kind.kind == "f" else float(np.iinfo(kind).max)
             values = np.maximum(values.astype(np.float64) / scale, -np.inf if kind.kind == "f" else -1.0)
@@ -146,10 +146,10 @@ def read_gltf(path: Path) -> GltfFile:
                 )
         buffers = []
         for buffer in document.get("buffers", ()):
-            held = _beside(path, buffer.get("uri"), binary)
-            if len(held) < buffer["byteLength"]:
-                raise InputError(f"{path} is cut short: a buffer has {len(held):,} of {buffer['byteLength']:,} bytes.")
-            buffers.append(held)
+            data = _beside(path, buffer.get("uri"), binary)
+            if len(data) < buffer["byteLength"]:
+                raise InputError(f"{path} is cut short: a buffer has {len(data):,} of {buffer['byteLength']:,} bytes.")
+            buffers.append(data)
         return GltfFile(path, document, tuple(buffers))
 
 
@@ -172,7 +172,7 @@ class GltfDocument:
         }  # fmt: skip
 
     def add_view(self, content: bytes, **more: Any) -> int:
-        """Number of the buffer view that bytes are added as.
+        """Add bytes as a buffer view, and give its number.
 
         Args:
             content: the bytes.
@@ -184,7 +184,7 @@ class GltfDocument:
         return len(self.json["bufferViews"]) - 1
 
     def add(self, values: np.ndarray, kind: str, component: int, target: int | None = None, **more: Any) -> int:
-        """Number of the accessor that an array is added as.
+        """Add an array, and give the number of its accessor.
 
         Args:
             values: (count, ...) little-endian, of the component type.
@@ -199,7 +199,7 @@ class GltfDocument:
         return len(self.json["accessors"]) - 1
 
     def add_vectors(self, values: np.ndarray, bounded: bool = False) -> int:
-        """Number of the accessor that vectors by vertex are added as.
+        """Add a vector for each vertex, and give the number of their accessor.
 
         Args:
             values: (vertices, components) float.

@@ -50,13 +50,13 @@ def named_libraries(obj: Path) -> list[tuple[str, Path | None]]:
     """
     text = joined_lines(obj)
     # Much quicker than a look at every line; what stands before it on its line shows that it begins one.
-    found = [(text[text.rfind(b"\n", 0, m.start()) + 1 : m.start()], m[1]) for m in re.finditer(rb"mtllib(.*)", text)]
-    named = list[tuple[str, Path | None]]()
-    for rest in (text_of(name.strip()) for before, name in found if name.strip() and not before.strip()):
+    lines = [(text[text.rfind(b"\n", 0, m.start()) + 1 : m.start()], m[1]) for m in re.finditer(rb"mtllib(.*)", text)]
+    libraries = list[tuple[str, Path | None]]()
+    for rest in (text_of(name.strip()) for before, name in lines if name.strip() and not before.strip()):
         # A name may hold blanks, and a line several names.
         files = [(name, _beside(obj, name)) for name in ([rest] if _beside(obj, rest) else rest.split())]
-        named += files if any(file for _, file in files) else [(rest, None)]
-    return list(dict.fromkeys(named))
+        libraries += files if any(file for _, file in files) else [(rest, None)]
+    return list(dict.fromkeys(libraries))
 
 
 def libraries_of(obj: Path) -> list[Path]:

@@ -82,14 +82,14 @@ def load_tensors(path: str | Path) -> Any:
             return torch.load(path, map_location="cpu", weights_only=True, mmap=True)
         except pickle.UnpicklingError as error:
             # What torch says of it fills a page.
-            named = re.search(r"GLOBAL (\S+)", str(error))
-            raise _Refused(f'it asks for "{named[1]}"' if named else "it is damaged") from None
+            callee = re.search(r"GLOBAL (\S+)", str(error))
+            raise _Refused(f'it asks for "{callee[1]}"' if callee else "it is damaged") from None
 
 
 @contextmanager
-def _plain(path: Path, whole: str) -> Iterator[None]:
+def _plain(path: Path, kind: str) -> Iterator[None]:
     try:
-        with refusing(path, f"is not a complete {whole}"):
+        with refusing(path, f"is not a complete {kind}"):
             yield
     except InputError as error:
         if not isinstance(error.__cause__, _Refused):
@@ -164,9 +164,9 @@ class _Unpickler(pickle._Unpickler):
 
     def find_class(self, module: str, name: str) -> Any:
         """What stands for what a file names."""
-        known = _KNOWN.get((module.replace("numpy._core", "numpy.core"), name))
-        if known is not None:
-            return known
+        stand_in = _KNOWN.get((module.replace("numpy._core", "numpy.core"), name))
+        if stand_in is not None:
+            return stand_in
         if module.split(".")[0] == "chumpy" and name.isidentifier():
             return type(name, (_Chumpy,), {})
         if module.startswith("scipy.sparse") and name in ("csc_matrix", "csc_array"):
@@ -190,9 +190,9 @@ class _Unpickler(pickle._Unpickler):
             raise _Refused("it sets the state of an object of an unknown class")
         super().load_build()  # type: ignore[misc]
         if isinstance(built, _Shell):
-            stack[-1] = made = built.made(self._file)
+            stack[-1] = value = built.made(self._file)
             memo: dict[int, Any] = self.memo  # type: ignore[attr-defined]
-            memo.update({place: made for place, held in memo.items() if held is built})
+            memo.update({place: value for place, entry in memo.items() if entry is built})
 
     dispatch: ClassVar[dict[int, Any]] = {**pickle._Unpickler.dispatch, pickle.BUILD[0]: load_build}
 

@@ -135,7 +135,7 @@ def require_places(
     counts: Mapping[str, int],
     refuse: Callable[[str], InputError],
 ) -> None:
-    """Refuse indices in a file that point outside of what they are of.
+    """Refuse indices in a file that are out of range.
 
     Args:
         members: arrays (...) by name, in the units of their file; those that are absent are not looked at.

@@ -49,7 +49,7 @@ class JobPack:
 
 
 def jobs_of(job: Job) -> tuple[Any, ...]:
-    """The jobs of a pack, or the one that is none."""
+    """The jobs of a pack; of a single job that one."""
     return job.jobs if isinstance(job, JobPack) else (job,)
 
 
@@ -108,7 +108,7 @@ def digest(path: Path) -> str:
         path: a file or a folder.
     """
     hasher = hashlib.sha256()
-    files = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
+    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
     for file in files:
         if file != path:
             hasher.update(file.relative_to(path).as_posix().encode())

@@ -73,20 +73,20 @@ class JobFolder:
         if not file.exists():
             return
         try:
-            held = read_json(file)
-            versions = [held.get(name) for name in ("version", "protocol_version", "dataset_version")]
-            version, made_by = next(each for each in versions if each is not None), held["pb4u"]
+            meta = read_json(file)
+            versions = [meta.get(name) for name in ("version", "protocol_version", "dataset_version")]
+            version, made_by = next(version for version in versions if version is not None), meta["pb4u"]
             if (version, made_by) != (FOLDER_VERSION, __version__):
                 raise InputError(
                     f"{self.path} holds a run of version {version} by pb4u {made_by}, and this is pb4u {__version__} "
                     f"with version {FOLDER_VERSION}; results of two do not belong together: give another --out."
                 )
-            if held["kind"] != self._kind:
-                raise InputError(f"{self.path} is a folder of {held['kind']}, not of {self._kind}; give another --out.")
-            for name, wanted in self._settings.items():
-                if held[name] != wanted:
+            if meta["kind"] != self._kind:
+                raise InputError(f"{self.path} is a folder of {meta['kind']}, not of {self._kind}; give another --out.")
+            for name, value in self._settings.items():
+                if meta[name] != value:
                     raise InputError(
-                        f"{self.path} holds {self._kind} with {name} {held[name]}, not {wanted}; go on with that, or "
+                        f"{self.path} holds {self._kind} with {name} {meta[name]}, not {value}; go on with that, or "
                         "give another --out."
                     )
         except InputError:
@@ -120,7 +120,7 @@ class JobFolder:
         return self.path / self.arrays / f"{job.key}.npz"
 
     def take(self, job: Job, outcome: Made | Failure) -> None:
-        """Keep what came of a job.
+        """Store the outcome of a job.
 
         Args:
             job: the job asked for.
@@ -136,8 +136,8 @@ class JobFolder:
         # First, so that a result is whole once it is there.
         if outcome.trajectory is not None:
             self.write(f"{self.arrays}/{job.key}.npz", outcome.trajectory)
-        kept = json.loads(json_text(dict(outcome.result)))
-        envelope = {"key": job.key, "checksum": _checksum(kept), "result": kept}
+        values = json.loads(json_text(dict(outcome.result)))
+        envelope = {"key": job.key, "checksum": _checksum(values), "result": values}
         self.write(f"{JOBS}/{job.key}.json", (json.dumps(envelope) + "\n").encode())
         self.forget_failure(job)
 
@@ -169,7 +169,7 @@ class JobFolder:
         )
 
     def result(self, job: Job) -> dict[str, Any] | None:
-        """The result of a job; None where there is none, or none that is whole.
+        """The result of a job; None where it is missing or damaged.
 
         Args:
             job: the job.
@@ -177,10 +177,10 @@ class JobFolder:
         try:
             envelope = read_json(self._jobs / f"{job.key}.json")
             result = envelope["result"]
-            whole = envelope["key"] == job.key and envelope["checksum"] == _checksum(result)
+            is_sound = envelope["key"] == job.key and envelope["checksum"] == _checksum(result)
         except (OSError, ValueError, KeyError, TypeError):
             return None
-        return result if whole else None
+        return result if is_sound else None
 
     def failure(self, job: Job) -> Failure | None:
         """Reason why a job has no result; None where it was not tried, or came off.
@@ -221,8 +221,8 @@ class JobFolder:
                 self.forget_failure(job)
             failed = set()
         missing = [job for job in undone if job.key not in failed]
-        done = len(jobs) - len(undone)
-        parts = [f"{len(jobs)} {noun}", f"{done} done before" if done else "", f"{len(missing)} to do"]
+        finished = len(jobs) - len(undone)
+        parts = [f"{len(jobs)} {noun}", f"{finished} done before" if finished else "", f"{len(missing)} to do"]
         parts.append(f"{len(failed)} failed before and left (--retry tries them again)" if failed else "")
         say(", ".join(part for part in parts if part) + ".")
         return missing
@@ -255,8 +255,8 @@ class JobFolder:
                     f"Its worker died {MOST_TRIES} times, for want of memory perhaps; try fewer --workers."
                 )
             outcomes = outcome if isinstance(outcome, list) else [outcome] * len(jobs_of(job))
-            for one, its in zip(jobs_of(job), outcomes, strict=True):
-                self.take(one, its)
+            for one, answer in zip(jobs_of(job), outcomes, strict=True):
+                self.take(one, answer)
             ended += len(outcomes)
             progress(ended, total)
 
@@ -291,8 +291,8 @@ class JobFolder:
                     self.work_through(missing, workers, show)
             finish()
         except KeyboardInterrupt:
-            done = sum(self.result(job) is not None for job in jobs)
-            raise Pb4uError(f"Stopped with {done} of {len(jobs)} {noun} done; the same command goes on.") from None
+            finished = sum(self.result(job) is not None for job in jobs)
+            raise Pb4uError(f"Stopped with {finished} of {len(jobs)} {noun} done; the same command goes on.") from None
 
     def _failed(self, job: Job) -> Path:
         return self._jobs / f"{job.key}.failed.json"
@@ -307,10 +307,10 @@ class JobFolder:
 
 
 def quiet(label: str) -> AbstractContextManager[Progress]:
-    """No display.
+    """No progress bar.
 
     Args:
-        label: what a display would show.
+        label: what a bar would be called.
     """
     return nullcontext(no_progress)
 

@@ -166,14 +166,14 @@ class RayPool(WorkerPool):
         self._ray = ray
         # Nothing is reported to anyone unless the user asks Ray to.
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        own: dict[str, Any] = {}
+        options: dict[str, Any] = {}
         if address == "local":
-            own = {"num_cpus": workers, "include_dashboard": False, "_node_ip_address": "127.0.0.1"}
+            options = {"num_cpus": workers, "include_dashboard": False, "_node_ip_address": "127.0.0.1"}
         else:
             _check_reachable(address)
         self._on_request_to_end = signal.getsignal(signal.SIGTERM)
         try:
-            ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False, **own)
+            ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False, **options)
         except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise InputError(f"There is no Ray cluster to reach at {address}: {reason}") from error

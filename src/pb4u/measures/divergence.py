@@ -46,7 +46,7 @@ def first_lost(
         skinned: as `skinned_centres`, or (frames, 3) of one garment [m]; without it falling off is not judged.
     """
     # What is not a number has diverged too.
-    diverged = ~(np.array([[each["strain_p95"] for each in row] for row in frames]) <= DIVERGED_STRAIN)
+    diverged = ~(np.array([[strains["strain_p95"] for strains in row] for row in frames]) <= DIVERGED_STRAIN)
     if skinned is not None:
         for g, garment in enumerate(garments.garments):
             vertices = slice(*garments.vertex_offsets[g : g + 2])
@@ -55,7 +55,7 @@ def first_lost(
             for t, (x, centre) in enumerate(zip(trajectory.positions, centres, strict=False)):
                 distance = np.linalg.norm(share @ np.asarray(x[vertices], dtype=np.float64) - centre)
                 diverged[t, g] |= not distance <= DIVERGED_DISTANCE
-    return [int(each.argmax()) if each.any() else None for each in diverged.T]
+    return [int(entry.argmax()) if entry.any() else None for entry in diverged.T]
 
 
 def skinned_centres(scene: Scene, trajectory: Trajectory) -> np.ndarray:
@@ -69,16 +69,16 @@ def skinned_centres(scene: Scene, trajectory: Trajectory) -> np.ndarray:
         (frames, garments, 3) [m].
     """
     masses = (dressed.garment.vertex_masses for dressed in scene.garments)
-    centres = zip(scene.garments, (each / each.sum() for each in masses), strict=True)
-    return np.stack([_skinned_means(scene, trajectory, worn, share[None])[:, 0] for worn, share in centres], axis=1)
+    centres = zip(scene.garments, (mass / mass.sum() for mass in masses), strict=True)
+    return np.stack([_skinned_means(scene, trajectory, cloth, share[None])[:, 0] for cloth, share in centres], axis=1)
 
 
-def _skinned_means(scene: Scene, trajectory: Trajectory, worn: DressedGarment, shares: np.ndarray) -> np.ndarray:
+def _skinned_means(scene: Scene, trajectory: Trajectory, garment: DressedGarment, shares: np.ndarray) -> np.ndarray:
     """Means (frames, groups, 3) [m] of a garment's skinned vertices, by their `shares` (groups, vertices)."""
     at = np.arange(trajectory.frame_count) * (scene.fps / trajectory.fps)
     means = []
     for start in range(scene.lead_in, scene.total_frames, _SKINNED_AT_ONCE):
-        block = worn.placement.positions(start, min(start + _SKINNED_AT_ONCE, scene.total_frames)).numpy()
+        block = garment.placement.positions(start, min(start + _SKINNED_AT_ONCE, scene.total_frames)).numpy()
         means.append(np.einsum("gv,tvd->tgd", shares, block))
     at_steps = np.concatenate(means)
     columns = [np.interp(at, np.arange(len(at_steps)), column) for column in at_steps.reshape(len(at_steps), -1).T]
@@ -99,14 +99,14 @@ def hold_shifts(scene: Scene, trajectory: Trajectory) -> np.ndarray:
         (frames, garments) [m].
     """
     shifts, first = [], 0
-    for worn in scene.garments:
-        rest = worn.garment.vertices
-        left = rest[:, 0] > np.median(rest[:, 0])
-        held = np.stack([side & (rest[:, 1] > rest[side, 1].max() - HOLD_DEPTH) for side in (left, ~left)])
-        shares = held / held.sum(axis=1, keepdims=True)
+    for dressed in scene.garments:
+        rest = dressed.garment.vertices
+        is_left = rest[:, 0] > np.median(rest[:, 0])
+        holds = np.stack([side & (rest[:, 1] > rest[side, 1].max() - HOLD_DEPTH) for side in (is_left, ~is_left)])
+        shares = holds / holds.sum(axis=1, keepdims=True)
         positions = np.asarray(trajectory.positions[:, first : first + len(rest)], dtype=np.float64)
-        moved = np.einsum("gv,tvd->tgd", shares, positions) - _skinned_means(scene, trajectory, worn, shares)
-        shifts.append(np.linalg.norm(moved, axis=2).max(axis=1))
+        moves = np.einsum("gv,tvd->tgd", shares, positions) - _skinned_means(scene, trajectory, dressed, shares)
+        shifts.append(np.linalg.norm(moves, axis=2).max(axis=1))
         first += len(rest)
     return np.stack(shifts, axis=1)
 
@@ -120,5 +120,5 @@ def slid_from(shifts: np.ndarray) -> int | None:
     # What is not a number is not where it was.
     beyond = ~(np.asarray(shifts) <= SLID)
     span = min(SLID_FRAMES, len(beyond))
-    held = [at for at in range(len(beyond) - span + 1) if beyond[at : at + span].all(axis=0).any()]
-    return held[0] if held else None
+    starts = [at for at in range(len(beyond) - span + 1) if beyond[at : at + span].all(axis=0).any()]
+    return starts[0] if starts else None

@@ -42,7 +42,7 @@ _CELL = 5e-4
 
 
 class Band(NamedTuple):
-    """What is published of a fabric or its class.
+    """Range of drape coefficients published for a fabric or its class.
 
     Args:
         lowest: drape coefficient [%].
@@ -57,13 +57,13 @@ class Band(NamedTuple):
 
 @cache
 def published() -> dict[str, Band]:
-    """What is published of the built-in fabrics, by name; of some there is nothing."""
+    """Published ranges of the built-in fabrics, by name; fabrics without any are left out."""
     return {name: Band(**record) for name, record in read_json(DATA / "drape_bands.json").items()}
 
 
 @dataclass(frozen=True, eq=False)
 class DrapeTest:
-    """What a disc has come to.
+    """Result of a drape test.
 
     Args:
         coefficient: share of the ring that its shadow covers [%].
@@ -113,13 +113,13 @@ def drape_test(material: Material, edge: float = EDGE, seconds: float = 3.0) -> 
         body_positions=fallen.body_positions[-1:],
     )
     vertices = last.positions[0].astype(np.float64)
-    held, whole = np.pi * HELD**2, np.pi * RADIUS**2
+    clamped, sheet = np.pi * HELD**2, np.pi * RADIUS**2
     rim = np.flatnonzero(np.hypot(garment.vertices[:, 0], garment.vertices[:, 2]) > RADIUS - 1e-6)
     rim = rim[np.argsort(np.arctan2(-garment.vertices[rim, 2], garment.vertices[rim, 0]))]
     reach = np.hypot(vertices[rim, 0], vertices[rim, 2])
     waves = np.abs(np.fft.rfft(reach - reach.mean()))
     return DrapeTest(
-        100.0 * (shadow(vertices, garment.faces) - held) / (whole - held),
+        100.0 * (shadow(vertices, garment.faces) - clamped) / (sheet - clamped),
         int(waves[1:20].argmax()) + 1,
         float(np.linalg.norm(last.velocities[0], axis=1).max()),
         float(np.mean(record.solver_iterations)),

@@ -92,16 +92,16 @@ class StepMinima:
             step: garments in float64 on the CPU.
             starts: (vertices, 3) [m] each, pinned vertices where they will be.
         """
-        found = Minimum(math.inf, step.state.positions)
+        minimum = Minimum(math.inf, step.state.positions)
         for start in starts:
             try:
                 x = self.solver.minimise(self.potential.of(step), start).positions
             except DivergedError:
                 continue
             energy = self.energy(step, x)
-            if energy < found.energy:
-                found = Minimum(energy, x)
-        return found
+            if energy < minimum.energy:
+                minimum = Minimum(energy, x)
+        return minimum
 
     def excess(self, step: TimeStep, x: Tensor, least: float) -> float:
         """Height [m] to which the energy above a minimum would lift the garments; negative where `x` lies below it.
@@ -269,17 +269,17 @@ class Reference:
         for number in range(1, count):
             step = timeline.step_from(states[-1])
             starts = minima.usual_starts(step)
-            found: Minimum | None = None
+            minimum: Minimum | None = None
             at_shared = number >= 2 and _is_shared(number, lead_in, every)
             if substep_count(step) == 1:
-                found = minima.lowest(step, starts)
-                after = step.reached(found.positions)
+                minimum = minima.lowest(step, starts)
+                after = step.reached(minimum.positions)
             else:
                 after, _ = implicit_steps(potential, minima.solver, step, start=warm_start.positions)
                 if at_shared:
-                    found = minima.lowest(step, [after.positions, *starts])
-            if found is not None and at_shared and math.isfinite(found.energy):
-                shared.append(SharedState(states[-2], states[-1], found.energy))
+                    minimum = minima.lowest(step, [after.positions, *starts])
+            if minimum is not None and at_shared and math.isfinite(minimum.energy):
+                shared.append(SharedState(states[-2], states[-1], minimum.energy))
             states.append(after)
         return Reference(potential, timeline, tuple(states), tuple(shared))
 
@@ -291,9 +291,9 @@ class Reference:
             settled: whether refinement and contact belong to it, or its predictions alone.
         """
         minima, heights = StepMinima(self.potential), []
-        for each in self.shared:
-            *_, earlier = predictions(self.timeline.step_from(each.before), method)
-            step, last = self.timeline.step_from(each.state), earlier.last_move
+        for shared in self.shared:
+            *_, earlier = predictions(self.timeline.step_from(shared.before), method)
+            step, last = self.timeline.step_from(shared.state), earlier.last_move
             try:
                 predicted = take(step, method, last) if settled else [*predictions(step, method, last)][-1]
             except DivergedError:
@@ -301,7 +301,7 @@ class Reference:
                 continue
             x = predicted.state.positions.to(torch.float64)
             finite = bool(torch.isfinite(x).all())
-            heights.append(minima.excess(step, x, each.least) if finite else math.nan)
+            heights.append(minima.excess(step, x, shared.least) if finite else math.nan)
         return heights
 
 

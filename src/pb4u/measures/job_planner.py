@@ -90,11 +90,11 @@ class JobPlanner:
 
     def _require_names(self, run: Run) -> None:
         """Refuse names and files that are not there."""
-        known = {"garment": garment_names(), "motion": motion_names(), "material": tuple(BUILT_IN)}
-        worn: list[tuple[str, object]] = [("garment", each.garment) for each in run.garments]
-        cloths = [("material", value) for each in run.garments for value in each.materials.values()]
-        given = [*worn, *cloths, *((kind, getattr(run, kind)) for kind in ("motion", "body", "omitted", "model"))]
-        for kind, value in given:
+        choices = {"garment": garment_names(), "motion": motion_names(), "material": tuple(BUILT_IN)}
+        garments: list[tuple[str, object]] = [("garment", garment.garment) for garment in run.garments]
+        cloths = [("material", value) for garment in run.garments for value in garment.materials.values()]
+        values = [*garments, *cloths, *((kind, getattr(run, kind)) for kind in ("motion", "body", "omitted", "model"))]
+        for kind, value in values:
             if value is None or (kind, str(value)) in self._checked or not isinstance(value, str | Path):
                 continue
             self._checked.add((kind, str(value)))
@@ -105,8 +105,8 @@ class JobPlanner:
                 load_body_of(str(value), run.clip, run.body_parts, run.body_units)
             elif kind == "material":
                 load_material(value)
-            elif not file.suffix and kind in known and str(value) not in known[kind]:
-                raise unknown_name(kind, str(value), known[kind])
+            elif not file.suffix and kind in choices and str(value) not in choices[kind]:
+                raise unknown_name(kind, str(value), choices[kind])
 
     def _read(self, value: str) -> tuple[tuple[str, str, str], ...]:
         """The files that are read for a value, with their digests; none for a name."""
@@ -114,7 +114,7 @@ class JobPlanner:
             file = named_file(value)
             is_name = (not file.suffix and "/" not in value) or not file.exists()
             files = () if is_name else with_companions(file)
-            self._contents[value] = tuple((value, str(each), digest(each)) for each in files)
+            self._contents[value] = tuple((value, str(file), digest(file)) for file in files)
         return self._contents[value]
 
 

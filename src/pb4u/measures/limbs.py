@@ -90,16 +90,16 @@ class Bones:
     @cached_property
     def asked_at_rest(self) -> dict[str, int]:
         """Name of a garment -> triangles, for those that are coarse for a body at rest."""
-        asked: dict[str, int] = {}
+        triangles: dict[str, int] = {}
         if self.scene is None:
-            return asked
-        bodies = [RestBody.of(each.body) for each in self.scene.colliders if isinstance(each, PosedBody)]
-        for worn in (dressed.garment for dressed in self.scene.garments):
+            return triangles
+        bodies = [RestBody.of(collider.body) for collider in self.scene.colliders if isinstance(collider, PosedBody)]
+        for garment in (dressed.garment for dressed in self.scene.garments):
             for body in bodies:
-                coarse = Coarseness.of(worn.vertices, worn.faces, body)
+                coarse = Coarseness.of(garment.vertices, garment.faces, body)
                 if coarse.is_few:
-                    asked[worn.name] = max(coarse.enough, asked.get(worn.name, 0))
-        return asked
+                    triangles[garment.name] = max(coarse.enough, triangles.get(garment.name, 0))
+        return triangles
 
 
 class LimbWatch:
@@ -138,10 +138,10 @@ class LimbWatch:
         """
         import igl
 
-        found = np.zeros(len(self.bones.names), dtype=bool)
+        is_through = np.zeros(len(self.bones.names), dtype=bool)
         cloth, body = np.asarray(cloth, dtype=np.float64), np.array(body, dtype=np.float64)
         if not self.bones.names or not len(self._touched) or not np.isfinite(cloth).all():
-            return found
+            return is_through
         faces, ends = self.header.faces, self.bones.ends[t]
         pairs, places = segments_through_faces(ends[:, 0], ends[:, 1], cloth, faces)
         if len(pairs):
@@ -149,25 +149,25 @@ class LimbWatch:
             inside = skin.nearest(torch.from_numpy(places)).signed_distance.numpy() < 0.0
             # Between two parts that are in each other, cloth is in both.
             pairs = pairs[inside][igl.winding_number(body, self._faces, places[inside]) < _IN_TWO]
-            found[pairs[:, 0]] = True
+            is_through[pairs[:, 0]] = True
         crossing = crossings(cloth, faces, body, self._touched)
         if len(crossing):
             limb = self.bones.skin[self._touched[crossing[:, 1], 0]]
             bare = self._bare(cloth, body, np.unique(limb[limb >= 0]))
-            found |= bare
+            is_through |= bare
             pairs = np.concatenate([pairs, np.column_stack([limb, crossing[:, 0]])[bare[limb] & (limb >= 0)]])
-        for bone in np.flatnonzero(found).tolist():
+        for bone in np.flatnonzero(is_through).tolist():
             if self.bones.names[bone] not in self.needs:
                 self.needs[self.bones.names[bone]] = self._needed(bone, ends, body, pairs[pairs[:, 0] == bone, 1])
-        return found
+        return is_through
 
     def _bare(self, cloth: np.ndarray, body: np.ndarray, limbs: np.ndarray) -> np.ndarray:
         """Which bones (bones,) bool, of some `limbs`, have skin over the cloth."""
         bones = len(self.bones.names)
-        asked = self._vertices[np.isin(self.bones.skin[self._vertices], limbs)]
-        normals = area_weighted_normals(body, self._touched)[asked]
-        cover = SkinCover.at(body[asked], normals, TriangleSurface(self.header.faces, len(cloth)).at(cloth))
-        areas, shown = vertex_areas(body, self._touched), asked[cover.shown & (cover.heights < -_OUT)]
+        vertices = self._vertices[np.isin(self.bones.skin[self._vertices], limbs)]
+        normals = area_weighted_normals(body, self._touched)[vertices]
+        cover = SkinCover.at(body[vertices], normals, TriangleSurface(self.header.faces, len(cloth)).at(cloth))
+        areas, shown = vertex_areas(body, self._touched), vertices[cover.shown & (cover.heights < -_OUT)]
         over = np.bincount(self.bones.skin[shown], areas[shown], bones) > _BARE
         if not over.any():
             return over
@@ -189,38 +189,38 @@ class LimbWatch:
         rest = np.asarray(self.header.rest_positions, dtype=np.float64)
         area = float(face_areas(rest, self.header.faces[faces]).mean())
         edge, holds = math.sqrt(4.0 * area / math.sqrt(3.0)), 2.0 * radius * math.sin(0.5 * _SPANNED)
-        worn = next(g for g in self.header.garments if g["triangles"][0] <= faces[0] < g["triangles"][1])
-        count = worn["triangles"][1] - worn["triangles"][0]
+        garment = next(g for g in self.header.garments if g["triangles"][0] <= faces[0] < g["triangles"][1])
+        count = garment["triangles"][1] - garment["triangles"][0]
         enough = 100 * math.ceil(count * min((edge / holds) ** 2, _MOST_FINER) / 100)
-        enough = max(enough, self.bones.asked_at_rest.get(worn["name"], 0))
-        return worn["name"], enough if enough > count else None
+        enough = max(enough, self.bones.asked_at_rest.get(garment["name"], 0))
+        return garment["name"], enough if enough > count else None
 
-    def sentences(self, bones: Sequence[str], frame: int, said: dict[str, int]) -> list[str]:
-        """What is said of limbs when they are found first, one sentence a garment; none of skinning.
+    def sentences(self, bones: Sequence[str], frame: int, counts: dict[str, int]) -> list[str]:
+        """Warnings of limbs that are newly through cloth, one a garment; none where skinning alone moved it.
 
         Args:
             bones: their names, of `needs`.
             frame: number of the frame.
-            said: name of a garment -> triangles that are advised already; what is said here is added.
+            counts: name of a garment -> triangles that were advised before; those advised here are added.
         """
         if not has_physics(self.header):
             return []
         sentences, contact = list[str](), self.header.metadata.get("contact", True)
         for garment in dict.fromkeys(self.needs[bone][0] for bone in bones):
-            own = [bone for bone in bones if self.needs[bone][0] == garment]
-            advice = self._advice(own, garment, said) if contact else "nothing holds it: leave out --contact off"
-            verb = "are" if len({plain_name(bone) for bone in own}) > 1 else "is"
-            through = f"Frame {frame}: {plain_names(own)} {verb} through the {garment}"
+            group = [bone for bone in bones if self.needs[bone][0] == garment]
+            advice = self._advice(group, garment, counts) if contact else "nothing holds it: leave out --contact off"
+            verb = "are" if len({plain_name(bone) for bone in group}) > 1 else "is"
+            through = f"Frame {frame}: {plain_names(group)} {verb} through the {garment}"
             sentences.append(f"{through}{': ' if advice else ''}{advice}.")
         return sentences
 
-    def _advice(self, bones: Sequence[str], garment: str, said: dict[str, int]) -> str:
+    def _advice(self, bones: Sequence[str], garment: str, counts: dict[str, int]) -> str:
         """What would hold limbs inside a garment; nothing where that was said."""
         enough = max(self.needs[bone][1] or 0 for bone in bones)
         arms = " or --arms-away 8" if any(map(ARM.search, bones)) else ""
-        if garment in said and enough <= said[garment]:
+        if garment in counts and enough <= counts[garment]:
             return ""
-        said[garment] = enough
+        counts[garment] = enough
         if enough:
             return f"try {_triangles_flag({garment: enough}, len(self.header.garments))}{arms}"
         is_solver = self.header.metadata.get("model") == "solver"
@@ -265,7 +265,7 @@ def limbs_through_cloth(crossed: np.ndarray, watch: LimbWatch) -> list[dict[str,
     names = watch.bones.names
     # A joint with several children is the head of several bones of one name.
     by_name = {name: crossed[:, [k for k, other in enumerate(names) if other == name]].any(axis=1) for name in names}
-    found = [
+    limbs = [
         {
             "bone": name,
             "first_frame": int(rows.argmax()),
@@ -275,34 +275,34 @@ def limbs_through_cloth(crossed: np.ndarray, watch: LimbWatch) -> list[dict[str,
         for name, rows in by_name.items()
         if rows.any()
     ]
-    return sorted(found, key=lambda each: -each["frames"])
+    return sorted(limbs, key=lambda limb: -limb["frames"])
 
 
-def limbs_sentence(found: Sequence[dict[str, Any]], trajectory: Trajectory) -> str | None:
+def limbs_sentence(limbs: Sequence[dict[str, Any]], trajectory: Trajectory) -> str | None:
     """What has gone through cloth in one sentence; None for nothing.
 
     Args:
-        found: as `limbs_through_cloth`.
+        limbs: as `limbs_through_cloth`.
         trajectory: in which it was found.
     """
-    if not found:
+    if not limbs:
         return None
-    first, frames = min(each["first_frame"] for each in found), trajectory.frame_count
+    first, frames = min(limb["first_frame"] for limb in limbs), trajectory.frame_count
     longest: dict[str, int] = {}
-    for each in found:
-        longest.setdefault(plain_name(each["bone"]), each["frames"])
-    told = ", ".join(f"the {name} ({count})" for name, count in list(longest.items())[:4])
+    for limb in limbs:
+        longest.setdefault(plain_name(limb["bone"]), limb["frames"])
+    names = ", ".join(f"the {name} ({count})" for name, count in list(longest.items())[:4])
     more = f" and {len(longest) - 4} more" if len(longest) > 4 else ""
-    through = f"Limbs have gone through the cloth from frame {first} on, in so many of {frames} frames: {told}{more}"
+    through = f"Limbs have gone through the cloth from frame {first} on, in so many of {frames} frames: {names}{more}"
     if not has_physics(trajectory.header):
         return f"{through}; skinning has no physics, --model quick-solver has."
     if not trajectory.header.metadata.get("contact", True):
         return f"{through}; nothing holds the cloth off: leave out --contact off."
     enough: dict[str, int] = {}
-    for each in found:
-        if each["triangles"]:
-            enough[each["garment"]] = max(enough.get(each["garment"], 0), each["triangles"])
+    for limb in limbs:
+        if limb["triangles"]:
+            enough[limb["garment"]] = max(enough.get(limb["garment"], 0), limb["triangles"])
     flag = _triangles_flag(enough, len(trajectory.header.garments))
     finer = f"; {flag} makes the cloth fine enough for them" if enough else ""
-    arms = "; --arms-away 8 holds arms off the body" if any(ARM.search(each["bone"]) for each in found) else ""
+    arms = "; --arms-away 8 holds arms off the body" if any(ARM.search(limb["bone"]) for limb in limbs) else ""
     return f"{through}{finer}{arms}."

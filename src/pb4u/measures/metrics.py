@@ -134,11 +134,11 @@ def _strains(garments: PackedGarments, x: Tensor) -> tuple[dict[str, float], lis
         percentile = weighted_percentile(strains[faces], garments.face_areas[faces], 95.0)
         return {"strain_p95": float(percentile), "strain_max": float(strains[faces].max())}
 
-    whole = over(slice(None), slice(None))
+    total = over(slice(None), slice(None))
     if garments.garment_count == 1:
-        return whole, [whole]
-    each = [over(garments.vertex_garment == g, garments.face_garment == g) for g in range(garments.garment_count)]
-    return whole, each
+        return total, [total]
+    rows = [over(garments.vertex_garment == g, garments.face_garment == g) for g in range(garments.garment_count)]
+    return total, rows
 
 
 def first_diverged(trajectory: Trajectory, skinned: np.ndarray | None = None) -> int | None:
@@ -193,11 +193,11 @@ def _garment(header: TrajectoryHeader, entry: dict[str, Any]) -> Garment:
         flat = None
     materials: list[Material] = []
     places = np.zeros(len(header.faces), dtype=np.int64)
-    for listed in header.metadata.get("materials", ()):
-        if any(triangles.start <= first < triangles.stop for first, _ in listed["faces"]):
-            for first, stop in listed["faces"]:
+    for material in header.metadata.get("materials", ()):
+        if any(triangles.start <= first < triangles.stop for first, _ in material["faces"]):
+            for first, stop in material["faces"]:
                 places[first:stop] = len(materials)
-            materials.append(Material.of(listed))
+            materials.append(Material.of(material))
     garment = Garment(
         str(entry["name"]),
         rest,
@@ -211,15 +211,15 @@ def _garment(header: TrajectoryHeader, entry: dict[str, Any]) -> Garment:
     )
     if header.material_layers is not None:
         layers = np.asarray(header.material_layers[triangles], dtype=np.float64)
-        own = np.flatnonzero(layers.any(axis=0))
-        materials = [Material.of(header.metadata["materials"][k]) for k in own]
-        return replace(garment, materials=tuple(materials), material_layers=layers[:, own])
+        rows = np.flatnonzero(layers.any(axis=0))
+        materials = [Material.of(header.metadata["materials"][k]) for k in rows]
+        return replace(garment, materials=tuple(materials), material_layers=layers[:, rows])
     return replace(garment, materials=tuple(materials), face_material=places[triangles]) if materials else garment
 
 
-def _sewn(listed: dict[str, Any]) -> SewnPart:
-    material = listed["material"]
-    return SewnPart(**{**listed, "material": None if material is None else Material.of(material)})
+def _sewn(part: dict[str, Any]) -> SewnPart:
+    material = part["material"]
+    return SewnPart(**{**part, "material": None if material is None else Material.of(material)})
 
 
 def visible_skin(
@@ -240,11 +240,11 @@ def visible_skin(
         Two masks (body vertices,) bool, and the faces (shown vertices,) int64 of the cloth that lie under what shows.
     """
     shown, covered = np.zeros(len(body), dtype=bool), np.zeros(len(body), dtype=bool)
-    asked = np.unique(body_faces)
-    normals = area_weighted_normals(body, body_faces)[asked]
-    cover = SkinCover.at(body[asked], normals, TriangleSurface(cloth_faces, len(cloth)).at(cloth))
-    shown[asked] = cover.shown
-    covered[asked] = cover.belongs & (cover.heights >= 0.0) & (cover.distances < SKIN_UNDER_CLOTH)
+    vertices = np.unique(body_faces)
+    normals = area_weighted_normals(body, body_faces)[vertices]
+    cover = SkinCover.at(body[vertices], normals, TriangleSurface(cloth_faces, len(cloth)).at(cloth))
+    shown[vertices] = cover.shown
+    covered[vertices] = cover.belongs & (cover.heights >= 0.0) & (cover.distances < SKIN_UNDER_CLOTH)
     return shown, covered, cover.faces[cover.shown]
 
 
@@ -274,7 +274,7 @@ def pinched(
 
 
 class FrameMetrics(NamedTuple):
-    """Metrics of one frame; not a number where a position is none.
+    """Metrics of one frame; NaN where a position is not finite.
 
     Args:
         metrics: energies [J] summed over garments, strains over all faces, and penetration where the body has an
@@ -334,14 +334,14 @@ class Ruler:
         strains, each_strains = _strains(self.garments, x)
         if not bool(torch.isfinite(x).all()):
             lost = dict.fromkeys(ENERGIES, float("nan"))
-            whole = lost | dict.fromkeys(GEOMETRY, float("nan"))
-            return FrameMetrics(whole, lost, [lost | each for each in each_strains])
+            measures = lost | dict.fromkeys(GEOMETRY, float("nan"))
+            return FrameMetrics(measures, lost, [lost | strains for strains in each_strains])
         step = self.step(t, x)
         ours, paper = (_energies(potential.of(step).energies(x).terms) for potential in self.potentials)
         metrics = _summed(ours) | strains
         if contact:
             metrics |= self._contact(t, x)
-        garments = [energies | each for energies, each in zip(ours, each_strains, strict=True)]
+        garments = [energies | strains for energies, strains in zip(ours, each_strains, strict=True)]
         return FrameMetrics(metrics, _summed(paper), garments)
 
     def _contact(self, t: int, x: Tensor) -> dict[str, float]:
@@ -399,4 +399,4 @@ def _energies(terms: Mapping[str, Tensor]) -> list[dict[str, float]]:
 
 def _summed(garments: list[dict[str, float]]) -> dict[str, float]:
     first, *others = garments
-    return {name: sum((each[name] for each in others), value) for name, value in first.items()}
+    return {name: sum((other[name] for other in others), value) for name, value in first.items()}

@@ -29,19 +29,19 @@ def overlapping_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     free = np.flatnonzero(~overlapping)
     piece = Topology(faces[free], len(vertices)).piece_of_vertex[faces[free, 0]]
     pieces = [free[piece == number] for number in np.setdiff1d(piece, np.bincount(piece).argmax())]
-    middles = [own[np.argsort(face_areas(vertices, faces[own]))[len(own) // 2]] for own in pieces]
+    middles = [piece[np.argsort(face_areas(vertices, faces[piece]))[len(piece) // 2]] for piece in pieces]
     # At a corner the faces around it count for nothing; within a face that face would, by half, on either side.
     corners = faces[np.array(middles, dtype=np.int64), 0]
-    for own, number in zip(pieces, igl.winding_number(vertices, faces, vertices[corners]), strict=True):
-        overlapping[own] = number > _TWICE
+    for face_group, number in zip(pieces, igl.winding_number(vertices, faces, vertices[corners]), strict=True):
+        overlapping[face_group] = number > _TWICE
     return overlapping
 
 
-def buried(asked: np.ndarray, vertices: np.ndarray, faces: np.ndarray, folds: np.ndarray) -> np.ndarray:
+def buried(mask: np.ndarray, vertices: np.ndarray, faces: np.ndarray, folds: np.ndarray) -> np.ndarray:
     """Vertices (vertices,) bool that lie inside another part of a closed surface, where no one sees them.
 
     Args:
-        asked: (vertices,) bool vertices to look at; no other is found.
+        mask: (vertices,) bool vertices to look at; no other is found.
         vertices: (vertices, 3) [m], finite.
         faces: (faces, 3) int64, counter-clockwise seen from outside.
         folds: (folds, 3) int64 its overlapping faces.
@@ -49,6 +49,6 @@ def buried(asked: np.ndarray, vertices: np.ndarray, faces: np.ndarray, folds: np
     import igl
 
     inside = np.zeros(len(vertices), dtype=bool)
-    rows = np.intersect1d(np.flatnonzero(asked), folds)
+    rows = np.intersect1d(np.flatnonzero(mask), folds)
     inside[rows] = igl.winding_number(vertices, faces, vertices[rows]) > _TWICE
     return inside

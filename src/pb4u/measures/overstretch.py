@@ -25,7 +25,7 @@ def overstretched_sentences(trajectory: Trajectory) -> list[str]:
     """
     if not has_physics(trajectory.header):
         return []
-    said, first_vertex = [], 0
+    sentences, first_vertex = [], 0
     for garment in garments_of(trajectory):
         rows = slice(first_vertex, first_vertex + len(garment.vertices))
         first_vertex = rows.stop
@@ -42,9 +42,9 @@ def overstretched_sentences(trajectory: Trajectory) -> list[str]:
         worst = int(np.argmax(shares))
         if shares[worst] > _TOLD_FROM:
             strongest = 100.0 * 2.0 * limit[judged].min()
-            said.append(
+            sentences.append(
                 f"{garment.name}: {100.0 * shares[worst]:.0f} % of it is stretched by more than {strongest:.3g} %, "
                 f"twice what its cloth gives before it stiffens, most in frame {worst}; a larger cut or a softer "
                 "--material would give way."
             )
-    return said
+    return sentences

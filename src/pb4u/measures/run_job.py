@@ -106,12 +106,12 @@ class RunJob:
 
         def named(value: object) -> str | None:
             if isinstance(value, Mapping):
-                return ",".join(f"{part}:{named(each)}" for part, each in value.items())
+                return ",".join(f"{part}:{named(item)}" for part, item in value.items())
             return None if value is None else names.get(str(value), str(value))
 
         labels: dict[str, Any] = {}
         for name, entry in described(WornGarment).items():
-            values = [getattr(each, name) for each in run.garments]
+            values = [getattr(garment, name) for garment in run.garments]
             if entry.kind == "name":
                 unset = "default" if name == "material" else "own"
                 labels[entry.label] = "+".join(named(value) or unset for value in values)
@@ -121,7 +121,7 @@ class RunJob:
             value = entry.value_in(run)
             labels[entry.label] = named(value) if entry.flag.is_file else _plain(value, {})
         labels |= {
-            "garment": "+".join(titles.get(str(each.garment), each.name) for each in run.garments),
+            "garment": "+".join(titles.get(str(garment.garment), garment.name) for garment in run.garments),
             "body": named(run.body) or NONE,
             "motion": named(run.motion) or run.clip or ("own" if run.body else NONE),
             "lead_in": run.led_frames,
@@ -130,12 +130,12 @@ class RunJob:
         return {label: value for label, value in labels.items() if label}
 
     def __str__(self) -> str:
-        told = self.labels
-        counts = [f"{count:,}" for count in told["triangles_asked"] if count]
+        names = self.labels
+        counts = [f"{count:,}" for count in names["triangles_asked"] if count]
         size = f", {'+'.join(counts)} triangles" if counts else ""
         steps = "" if self.run.propagation_steps is None else f", K {self.run.propagation_steps}"
-        scene = f"{told['garment']} in {told['material']} on {told['body']}, {told['motion']}, seed {told['seed']}"
-        return f"{scene}{size}, by {self.label or told['model']}{steps}"
+        scene = f"{names['garment']} in {names['material']} on {names['body']}, {names['motion']}, seed {names['seed']}"
+        return f"{scene}{size}, by {self.label or names['model']}{steps}"
 
 
 def attempt(job: RunJob | JobPack) -> Made | Failure | list[Made | Failure]:
@@ -147,13 +147,13 @@ def attempt(job: RunJob | JobPack) -> Made | Failure | list[Made | Failure]:
     if not isinstance(job, JobPack):
         return attempted(make, job)
     simulated = _together(job.jobs)
-    return [attempted(partial(make, simulated=simulated.get(each)), each) for each in job.jobs]
+    return [attempted(partial(make, simulated=simulated.get(single)), single) for single in job.jobs]
 
 
 def _together(jobs: Sequence[RunJob]) -> dict[RunJob, Simulated]:
     """States of the jobs that could be simulated together; the others have to be simulated alone."""
     simulator, scenes = _network(jobs[0]), {}
-    found: dict[RunJob, Simulated] = {}
+    results: dict[RunJob, Simulated] = {}
     for job in jobs:
         with suppress(Pb4uError):
             scenes[job] = _scene_of(job, simulator)
@@ -161,9 +161,9 @@ def _together(jobs: Sequence[RunJob]) -> dict[RunJob, Simulated]:
         pack = [list(scenes)[number] for number in numbers]
         # A job that has no finite first frame, or too little memory, says so when it is simulated alone.
         with suppress(Pb4uError, RuntimeError):
-            made = simulator.together([scenes[job] for job in pack])
-            found |= {job: Simulated(scenes[job], *its) for job, its in zip(pack, made, strict=True)}
-    return found
+            trajectories = simulator.together([scenes[job] for job in pack])
+            results |= {job: Simulated(scenes[job], *result) for job, result in zip(pack, trajectories, strict=True)}
+    return results
 
 
 def make(job: RunJob, simulated: Simulated | None = None) -> Made:
@@ -183,7 +183,7 @@ def make(job: RunJob, simulated: Simulated | None = None) -> Made:
     from pb4u.simulation.simulator import RunRecord
 
     began = time.perf_counter()
-    with _quiet(), noted() as told:
+    with _quiet(), noted() as notes:
         for _, file, expected in job.contents:
             require_content(Path(file), expected)
         simulator = _simulator(job.run.options, job.weights)
@@ -204,11 +204,11 @@ def make(job: RunJob, simulated: Simulated | None = None) -> Made:
     content = None
     if trajectory is None:
         result |= run_facts(simulator.header(scene), simulator, scene, record)
-        result["notes"] = list(dict.fromkeys((*scene.notes, *told)))
+        result["notes"] = list(dict.fromkeys((*scene.notes, *notes)))
         if job.excess:
             result["metrics"] |= _excess(job.run.scene, simulator)
     else:
-        result |= run_report(trajectory, simulator, scene, record, told=told)
+        result |= run_report(trajectory, simulator, scene, record, notes=notes)
         for measured, described in zip(result["garments"], trajectory.header.garments, strict=True):
             measured |= {
                 "vertices": described["vertices"][1] - described["vertices"][0],
@@ -257,13 +257,13 @@ def _network(job: RunJob) -> NetworkSimulator:
 
 
 def _scene_of(job: RunJob, simulator: Simulator) -> Scene:
-    """The scene of a job at the rate of its simulator; its notes are all that is warned of."""
+    """Scene of a job at the rate of its simulator; its notes are the warnings raised while it was built."""
     from pb4u.simulation.run_simulation import simulated_fps
 
-    with _quiet(), noted() as told:
+    with _quiet(), noted() as notes:
         fps = simulated_fps(job.run, simulator)
     scene = _scene(job.run.at_rate(fps).scene, job.run.fps)
-    return replace(scene, notes=(*scene.notes, *told))
+    return replace(scene, notes=(*scene.notes, *notes))
 
 
 @contextmanager
@@ -277,7 +277,7 @@ def _quiet() -> Iterator[None]:
 # Jobs of an evaluation come sorted by scene: the garment is cut and meshed once for all the models.
 @lru_cache(maxsize=1)
 def _scene(run: Run, written_fps: float) -> Scene:
-    """The scene of a run that is written at another rate [1/s]."""
+    """Scene of a run, whose result is written at `written_fps` [1/s]."""
     from pb4u.scene.assembly import build_scene
 
     with _quiet():
@@ -336,8 +336,8 @@ def _encoded(job: RunJob, trajectory: Trajectory, result: dict[str, Any]) -> byt
     """Bytes of the trajectory file that is kept."""
     if job.keep != "stills":
         return trajectory.encode(job.keep == "half")
-    kept = [result["pictured_frame"], _worst_frame(result, trajectory.frame_count)]
-    arrays = {name: getattr(trajectory, name)[kept] for name in ("positions", "velocities", "body_positions")}
+    frames = [result["pictured_frame"], _worst_frame(result, trajectory.frame_count)]
+    arrays = {name: getattr(trajectory, name)[frames] for name in ("positions", "velocities", "body_positions")}
     return replace(trajectory, **arrays).encode()
 
 
@@ -364,9 +364,9 @@ def entry_of(value: str, file: str) -> str:
 def _plain(specification: object, files: Mapping[str, list[str]]) -> Any:
     """A specification as JSON, files by their names and contents."""
     if isinstance(specification, Run | WornGarment | Environment):
-        return {each.name: _plain(getattr(specification, each.name), files) for each in fields(specification)}
+        return {field.name: _plain(getattr(specification, field.name), files) for field in fields(specification)}
     if isinstance(specification, tuple):
-        return [_plain(each, files) for each in specification]
+        return [_plain(item, files) for item in specification]
     if isinstance(specification, str | Path):
         return files.get(str(specification), str(specification))
     return specification

@@ -31,7 +31,7 @@ def run_report(
     excess: bool = False,
     reference: Trajectory | None = None,
     limbs: tuple[np.ndarray, LimbWatch] | None = None,
-    told: Sequence[str] = (),
+    notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Names, counts, timing and metrics of a run, as JSON but for numbers that are not finite.
 
@@ -44,7 +44,7 @@ def run_report(
         excess: also measure `excess_height`, three solves a frame, and count the frames that lie below their reference.
         reference: also measure `distance_to_reference`.
         limbs: which were found through cloth, as `watched` gives it; looked for where left out.
-        told: what was warned of besides the notes of the scene.
+        notes: what was warned of besides the notes of the scene.
 
     Raises:
         InputError: the trajectory does not say what its garments are made of, or the reference is of other meshes.
@@ -63,12 +63,12 @@ def run_report(
         measured["frames_below_reference"] = sum(height < -BEATEN_BY for height in heights)
     if reference is not None:
         measured["metrics"]["distance_to_reference"] = series(distance_to(trajectory, reference))
-    said = [
+    sentences = [
         limbs_sentence(measured.get("limbs_through_cloth", ()), trajectory),
         *overstretched_sentences(trajectory),
     ]
     facts = run_facts(trajectory.header, simulator, scene, record) | {"frames": trajectory.frame_count}
-    return {**facts, **measured, "notes": list(dict.fromkeys((*scene.notes, *told, *filter(None, said))))}
+    return {**facts, **measured, "notes": list(dict.fromkeys((*scene.notes, *notes, *filter(None, sentences))))}
 
 
 def run_facts(header: TrajectoryHeader, simulator: Simulator, scene: Scene, record: RunRecord) -> dict[str, Any]:
@@ -102,7 +102,7 @@ def _out_of_contact(scene: Scene) -> float | None:
     """Percentage of the bodies' area that takes no part in contact; None without a body."""
     if not scene.colliders:
         return None
-    shares = [share_out_of_contact(each.rest_vertices, each.faces, each.contact) for each in scene.colliders]
+    shares = [share_out_of_contact(body.rest_vertices, body.faces, body.contact) for body in scene.colliders]
     return round(100.0 * float(np.mean(shares)), 1)
 
 
@@ -123,5 +123,5 @@ def machine(device: str) -> dict[str, Any]:
 
 def _processor() -> str:
     with open("/proc/cpuinfo", encoding="utf-8") if os.path.exists("/proc/cpuinfo") else open(os.devnull) as lines:
-        named = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "")
-    return named or platform.processor() or platform.machine()
+        model = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "")
+    return model or platform.processor() or platform.machine()

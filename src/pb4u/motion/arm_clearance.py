@@ -67,14 +67,14 @@ class ArmClearance:
         """
         posed = self.humanoid.body.posed(poses)
         shoulders = joint_positions(self.humanoid.body.skeleton, poses)[:, self._shoulders]
-        found = np.zeros((len(SIDES), len(poses), 3))
+        turns = np.zeros((len(SIDES), len(poses), 3))
         for t in range(len(poses)):
             vertices = posed.positions(t, t + 1)[0].double()
             surface = self._body.at(vertices)
             for k, points in enumerate(self._points):
                 if len(points):
-                    found[k, t] = _least_turn(surface, vertices.numpy()[points], shoulders[t, k])
-        return found
+                    turns[k, t] = _least_turn(surface, vertices.numpy()[points], shoulders[t, k])
+        return turns
 
 
 def reach(fps: float) -> int:
@@ -132,6 +132,6 @@ def held_off(humanoid: Humanoid, poses: PoseSequence, turns: np.ndarray) -> Pose
         poses: its poses.
         turns: (2, frames, 3) rotation vectors in the world [rad], left and right.
     """
-    for side, each in zip(SIDES, turns, strict=True):
-        poses = humanoid.arm_turned(poses, side, from_axis_angle(each))
+    for side, turn in zip(SIDES, turns, strict=True):
+        poses = humanoid.arm_turned(poses, side, from_axis_angle(turn))
     return poses

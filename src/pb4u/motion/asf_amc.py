@@ -73,9 +73,9 @@ def find_asf(amc: Path) -> Path:
     """
     beside = sorted(p for p in amc.parent.iterdir() if p.suffix.lower() == ".asf")
     subjects = (amc.stem, amc.stem.split("_")[0])
-    named = [p for subject in subjects for p in beside if p.stem == subject]
-    if named or len(beside) == 1:
-        return (named or beside)[0]
+    matches = [p for subject in subjects for p in beside if p.stem == subject]
+    if matches or len(beside) == 1:
+        return (matches or beside)[0]
     what = f"{len(beside)} .asf skeletons, none called {subjects[-1]}.asf" if beside else "no .asf skeleton"
     raise InputError(f"{amc}: its folder holds {what}; put the skeleton {subjects[-1]}.asf beside the recording.")
 
@@ -224,21 +224,21 @@ def _read_frames(path: Path, rest: AcclaimSkeleton, asf: Path) -> tuple[list[str
         raise InputError(f"{path} holds no frames; export it again.")
     size = next((k for k, words in enumerate(lines[1:], 1) if len(words) == 1), len(lines))
     names = [words[0] for words in lines[1:size]]
-    known = dict(zip(rest.skeleton.names, rest.channels, strict=True))
-    if unknown := [name for name in names if name not in known]:
+    channels_of = dict(zip(rest.skeleton.names, rest.channels, strict=True))
+    if unknown := [name for name in names if name not in channels_of]:
         raise InputError(
             f'{path} moves a bone "{unknown[0]}" that {asf.name} does not have; give the skeleton it was recorded with.'
         )
-    if missing := sorted({name for name, channels in known.items() if channels} - set(names)):
+    if missing := sorted({name for name, channels in channels_of.items() if channels} - set(names)):
         raise InputError(f"{path} is cut short: the first frame lacks the bones {', '.join(missing)} of {asf.name}.")
     values: list[float] = []
     for k, words in enumerate(lines):
         frame, row = k // size + 1, k % size
         name = names[row - 1] if row else ""
-        wanted = f"{name} with {len(known[name])} number(s)" if row else "a frame number"
-        if len(words) != (1 + len(known[name]) if row else 1) or (row and words[0] != name):
-            found = " ".join(words)[:80]
-            raise InputError(f'{path} is damaged or cut short: frame {frame} reads "{found}" instead of {wanted}.')
+        expected = f"{name} with {len(channels_of[name])} number(s)" if row else "a frame number"
+        if len(words) != (1 + len(channels_of[name]) if row else 1) or (row and words[0] != name):
+            text = " ".join(words)[:80]
+            raise InputError(f'{path} is damaged or cut short: frame {frame} reads "{text}" instead of {expected}.')
         with refusing(path, "has a word where a number should be"):
             values += map(float, words[1:])
     if len(lines) % size:

@@ -113,9 +113,9 @@ def axes_in_t_pose(
         (bones, 4) unit quaternions wxyz, and the recording, whose elbows fold forward where frames alone tell.
     """
     if not _rests_in_line(recording):
-        own, told = _axes(recording, poses, joints, up, True)
-        if told > _TRUSTED:
-            return own, recording
+        axes, share = _axes(recording, poses, joints, up, True)
+        if share > _TRUSTED:
+            return axes, recording
     recording = replace(recording, source=replace(recording.source, elbow_flexion=FORWARD))
     return _axes(recording, poses, joints, up, False)[0], recording
 
@@ -127,35 +127,35 @@ def _axes(
     skeleton, rotations, rest = recording.skeleton, poses.rotations, recording.skeleton.joints
     parents, spine, aims = skeleton.parents.tolist(), trunk(recording), dict(_aims(recording))
     pelvis, chest, head = spine[0], skeleton.index(str(recording.source.roles["spine_upper"])), spine[-1]
-    own = np.tile([1.0, 0.0, 0.0, 0.0], (skeleton.bone_count, 1))
-    own[pelvis] = _pelvis(recording, rotations[:, pelvis], joints, by_rest)
+    axes = np.tile([1.0, 0.0, 0.0, 0.0], (skeleton.bone_count, 1))
+    axes[pelvis] = _pelvis(recording, rotations[:, pelvis], joints, by_rest)
     feet = {recording.joint_index(f"foot.{side}") for side in "LR"}
-    told = []
+    checks = []
     for bone in np.flatnonzero(branch(parents, (pelvis,))).tolist():
         if bone == pelvis:
             continue
         # The head is level with the chest rather than with the neck.
         above = chest if bone == head else parents[bone]
-        carrier = multiply(rotations[:, above], conjugate(own[above]))
+        carrier = multiply(rotations[:, above], conjugate(axes[above]))
         relative = multiply(conjugate(carrier), rotations[:, bone])
-        taken = own[parents[bone]]
+        taken = axes[parents[bone]]
         aim = aims.get(bone)
-        moved, straight = _mean(relative), True
+        turn, straight = _mean(relative), True
         if bone in feet:
-            moved = _sole(rotations[:, bone], relative, up, moved)
+            turn = _sole(rotations[:, bone], relative, up, turn)
         if aim is not None:
             along = unit(_seen(rotations[:, bone], joints[:, aim.end] - joints[:, bone]).mean(axis=0))
             straight = bool(rotate(taken, unit(rest[aim.end] - rest[bone])) @ aim.direction > _STRAIGHT)
-        if aim is not None and not (aim.leans and rotate(moved, along) @ aim.direction > _UPRIGHT):
-            moved = between(along, aim.direction)
-            twist = _twist(aim.direction, multiply(relative, conjugate(moved)))
+        if aim is not None and not (aim.leans and rotate(turn, along) @ aim.direction > _UPRIGHT):
+            turn = between(along, aim.direction)
+            twist = _twist(aim.direction, multiply(relative, conjugate(turn)))
             if aim.fold is not None:
-                twist = _with_fold(aim, twist, rotate(moved, _seen(rotations[:, bone], _along(joints, *aim.fold[:2]))))
-            moved = multiply(from_axis_angle(np.angle(twist) * aim.direction), moved)
-        borne_out = by_rest and straight and bool(angle_between(taken, moved) < _BORNE_OUT)
-        own[bone] = taken if borne_out else moved
-        told += [borne_out] if aim is not None else []
-    return own, float(np.mean(told))
+                twist = _with_fold(aim, twist, rotate(turn, _seen(rotations[:, bone], _along(joints, *aim.fold[:2]))))
+            turn = multiply(from_axis_angle(np.angle(twist) * aim.direction), turn)
+        borne_out = by_rest and straight and bool(angle_between(taken, turn) < _BORNE_OUT)
+        axes[bone] = taken if borne_out else turn
+        checks += [borne_out] if aim is not None else []
+    return axes, float(np.mean(checks))
 
 
 def _rests_in_line(recording: Recording) -> bool:
@@ -171,7 +171,7 @@ def _pelvis(recording: Recording, rotations: np.ndarray, joints: np.ndarray, by_
     pelvis, *spine = trunk(recording)
     across = unit(_seen(rotations, left - right).mean(axis=0))
     above = [_seen(rotations, joints[:, bone] - joints[:, pelvis]).mean(axis=0) for bone in spine]
-    up = next((each for each in above if np.linalg.norm(each) > _WAIST * recording.leg_length), above[-1])
+    up = next((way for way in above if np.linalg.norm(way) > _WAIST * recording.leg_length), above[-1])
     up = unit(up - (up @ across) * across)
     axes = np.stack([across, up, np.cross(across, up)])
     nearest = nearly_axes(axes)
@@ -179,19 +179,19 @@ def _pelvis(recording: Recording, rotations: np.ndarray, joints: np.ndarray, by_
     return from_xyzw(Rotation.from_matrix(nearest if meant else axes).as_quat())
 
 
-def _sole(rotations: np.ndarray, relative: np.ndarray, up: np.ndarray, moved: np.ndarray) -> np.ndarray:
+def _sole(rotations: np.ndarray, relative: np.ndarray, up: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """Rotation (4,) of a foot, level as on the floor where it keeps its slope rather than the angle at its ankle.
 
     Args:
         rotations: (frames, 4) its rotations in the world from rest.
         relative: (frames, 4) those against the shin.
         up: (3,) the world's axis that is up.
-        moved: (4,) what it has against the shin on the whole.
+        turn: (4,) what it has against the shin on the whole.
     """
     level = _seen(rotations, np.broadcast_to(up, (len(rotations), 3))).mean(axis=0)
     bent = _seen(relative, np.broadcast_to(_UP, (len(relative), 3))).mean(axis=0)
     if np.linalg.norm(level) <= np.linalg.norm(bent):
-        return moved
+        return turn
     flat = between(unit(level), _UP)
     return multiply(from_axis_angle(np.angle(_twist(_UP, multiply(relative, conjugate(flat)))) * _UP), flat)
 

@@ -79,8 +79,8 @@ def read_bvh(path: Path) -> Recording:
         root_positions += rotate(rotations[:, joints[i].parent], _places(joints[i], values) - joints[i].offset)
     recording = Recording(path.stem, source, skeleton, PoseSequence(rotations, root_positions, fps))
     least = _STRETCH * recording.leg_length
-    moved = [i for i in range(len(joints)) if np.ptp(_places(joints[i], values), axis=0).max() > least]
-    ignored = [skeleton.names[i] for i in moved if i not in carrying]
+    moving = [i for i in range(len(joints)) if np.ptp(_places(joints[i], values), axis=0).max() > least]
+    ignored = [skeleton.names[i] for i in moving if i not in carrying]
     if ignored:
         note = f"{path.stem}: bones keep their lengths; the positions of {', '.join(ignored[:6])} are not followed."
         recording = replace(recording, notes=(note,))
@@ -177,8 +177,8 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
             f"{count // channels + 1}."
         )
     if count % channels:
-        told = f"not the {frames} frames of {channels} that its header tells"
-        raise InputError(f"{path} has {count} numbers, {told}; export it again.")
+        fault = f"not the {frames} frames of {channels} that its header tells"
+        raise InputError(f"{path} has {count} numbers, {fault}; export it again.")
     if count > frames * channels:  # Rokoko's count is one short
         frames = count // channels
     require_rate(1.0 / frame_time, path)

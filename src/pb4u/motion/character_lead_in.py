@@ -41,7 +41,7 @@ def character_lead_in(character: Character, poses: NodePoses, fps: float, frames
     following = _frame(poses, min(1, len(poses) - 1))
 
     def towards(name: str) -> np.ndarray:
-        start, end, after = (getattr(each, name)[0] for each in (rest, first, following))
+        start, end, after = (getattr(poses_at, name)[0] for poses_at in (rest, first, following))
         share = along.reshape(-1, *([1] * end.ndim))
         end = end + elapsed.reshape(share.shape) * (after - end)
         return np.asarray(start + share * (end - start))
@@ -51,15 +51,15 @@ def character_lead_in(character: Character, poses: NodePoses, fps: float, frames
     rotations = slerp(np.broadcast_to(rest.rotations, target.shape), target, np.repeat(along[:, None], nodes, axis=1))
     weights = {n: rest.weights[n] + along[:, None] * (w - rest.weights[n]) for n, w in first.weights.items()}
     blended = NodePoses(towards("translations"), rotations, towards("scales"), weights, poses.rise)
-    lowest = [PosedCharacter(character, each, fps).positions(0, len(each))[..., 1].amin(dim=1).numpy() for each in
+    lowest = [PosedCharacter(character, part, fps).positions(0, len(part))[..., 1].amin(dim=1).numpy() for part in
               (rest, first, blended)]  # fmt: skip
-    wanted = lowest[0][0] + along * (lowest[1][0] - lowest[0][0])
-    return _raised(character, blended, wanted - lowest[2]).joined(poses)
+    height = lowest[0][0] + along * (lowest[1][0] - lowest[0][0])
+    return _raised(character, blended, height - lowest[2]).joined(poses)
 
 
 def _frame(poses: NodePoses, frame: int) -> NodePoses:
     at = slice(frame, frame + 1)
-    weights = {node: each[at] for node, each in poses.weights.items()}
+    weights = {node: values[at] for node, values in poses.weights.items()}
     return replace(
         poses,
         translations=poses.translations[at],
@@ -86,8 +86,8 @@ def _standing(character: Character, first: NodePoses) -> NodePoses:
         binds.setdefault(node, bind)
     now = tree.globals(first)[0]
     root = int(rig.bone_nodes[0])
-    moved = now[root] @ np.linalg.inv(binds[root])
-    front = moved[:3, :3] @ np.array([0.0, 0.0, 1.0])
+    transform = now[root] @ np.linalg.inv(binds[root])
+    front = transform[:3, :3] @ np.array([0.0, 0.0, 1.0])
     yaw = np.arctan2(front[0], front[2]) if np.hypot(front[0], front[2]) > 0.2 * np.linalg.norm(front) else 0.0
     c, s = np.cos(yaw), np.sin(yaw)
     place = np.eye(4)

@@ -110,8 +110,8 @@ def roles_of(names: Sequence[str], parents: Sequence[int]) -> SkeletonRoles | No
         return None
     limbs: dict[str, int] = {}
     for side, word in (("L", "left"), ("R", "right")):
-        found = {role: human.joints.get(f"{word}_{joint}") for role, joint in _LIMB_JOINTS.items()}
-        bones = {role: bone for role, bone in found.items() if bone is not None}
+        joints = {role: human.joints.get(f"{word}_{joint}") for role, joint in _LIMB_JOINTS.items()}
+        bones = {role: bone for role, bone in joints.items() if bone is not None}
         bones = {"clavicle": human.spine[-1], "toes": bones["foot"], **bones}
         bones["forearm_end"] = int(parents[bones["hand"]])
         limbs |= {f"{role}.{side}": bone for role, bone in bones.items()}

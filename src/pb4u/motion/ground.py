@@ -55,7 +55,7 @@ def stances(recording: Recording) -> list[Stance]:
     reach = max(1, round(0.025 * poses.fps))
     before = np.maximum(np.arange(len(poses)) - reach, 0)
     after = np.minimum(np.arange(len(poses)) + reach, len(poses) - 1)
-    found = []
+    stands = []
     for ball in {recording.joint_index(f"toes.{side}") for side in "LR"}:
         path = joints[:, ball]
         speed = np.linalg.norm(path[after] - path[before], axis=1) * poses.fps / (after - before)
@@ -64,8 +64,8 @@ def stances(recording: Recording) -> list[Stance]:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], rests, [False]])))
         for first, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
             if stop - first >= _HOLDS * poses.fps:
-                found.append(Stance(first, stop, np.median(path[first:stop], axis=0)))
-    return sorted(found, key=lambda stance: stance.first)
+                stands.append(Stance(first, stop, np.median(path[first:stop], axis=0)))
+    return sorted(stands, key=lambda stance: stance.first)
 
 
 def on_level_ground(recording: Recording) -> Recording:
@@ -82,17 +82,17 @@ def on_level_ground(recording: Recording) -> Recording:
 
 
 def _with_upright_floor(recording: Recording) -> Recording:
-    found = stances(recording)
-    places = np.array([stance.place for stance in found]).reshape(-1, 3)
-    if len(found) < _LEAST_STANCES or np.linalg.norm(np.ptp(places[:, [0, 2]], axis=0)) < _LEAST_SPREAD:
+    stands = stances(recording)
+    places = np.array([stance.place for stance in stands]).reshape(-1, 3)
+    if len(stands) < _LEAST_STANCES or np.linalg.norm(np.ptp(places[:, [0, 2]], axis=0)) < _LEAST_SPREAD:
         return recording
-    slope, left = _plane(places)
+    slope, residual = _plane(places)
     risen = float(np.ptp(places[:, [0, 2]] @ slope))
     steepness = float(np.linalg.norm(slope))
     if (
         risen < _LEAST_RISE
         or steepness > np.tan(np.deg2rad(recording.askew))
-        or np.percentile(np.abs(left), 90) > _LEFT_OVER
+        or np.percentile(np.abs(residual), 90) > _LEFT_OVER
     ):
         return recording
     up = np.array([-slope[0], 1.0, -slope[1]]) / np.hypot(1.0, steepness)
@@ -113,18 +113,18 @@ def _plane(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(20):
         # Huber's weights: a stance far off, such as one on an object, counts by its number and not by its height.
         normal = system.T @ (weight[:, None] * system) + prior
-        found = np.linalg.solve(normal, system.T @ (weight * height))
-        left = height - system @ found
-        weight = 1.0 / np.maximum(1.0, np.abs(left) / _USUAL_ERROR)
-    return found[1:], left
+        plane = np.linalg.solve(normal, system.T @ (weight * height))
+        residual = height - system @ plane
+        weight = 1.0 / np.maximum(1.0, np.abs(residual) / _USUAL_ERROR)
+    return plane[1:], residual
 
 
 def _without_drift(recording: Recording) -> Recording:
-    found = stances(recording)
-    if len(found) < _LEAST_STANCES:
+    stands = stances(recording)
+    if len(stands) < _LEAST_STANCES:
         return recording
     fps = recording.poses.fps
-    drift = _drift(found, np.arange(len(recording.poses)) / fps, fps)
+    drift = _drift(stands, np.arange(len(recording.poses)) / fps, fps)
     if drift is None:
         return recording
     roots = recording.poses.root_positions - drift[:, None] / recording.metres * np.array([0.0, 1.0, 0.0])
@@ -135,12 +135,12 @@ def _without_drift(recording: Recording) -> Recording:
     return replace(recording, poses=replace(recording.poses, root_positions=roots), notes=(*recording.notes, note))
 
 
-def _drift(found: list[Stance], times: np.ndarray, fps: float) -> np.ndarray | None:
+def _drift(stands: list[Stance], times: np.ndarray, fps: float) -> np.ndarray | None:
     """Height (frames,) [m] by which the floor has drifted at `times` [s]; None where it does not, or is no floor."""
-    middle = np.array([0.5 * (stance.first + stance.stop - 1) / fps for stance in found])
-    height = np.array([stance.place[1] for stance in found])
+    middle = np.array([0.5 * (stance.first + stance.stop - 1) / fps for stance in stands])
+    height = np.array([stance.place[1] for stance in stands])
     # A long stance is better known than one that was nearly a step.
-    weight = np.array([(stance.stop - stance.first) / fps for stance in found])
+    weight = np.array([(stance.stop - stance.first) / fps for stance in stands])
     near = weight * np.exp(-0.5 * ((middle[:, None] - middle) / _DRIFT_TIME) ** 2)
     # Nearly straight lines through the neighbours in time; means would flatten both ends.
     total = near.sum(axis=1)

@@ -35,9 +35,9 @@ def read_gvhmr(path: Path) -> Recording:
     content = load_tensors(path)
     parameters = content.get(_PARAMETERS) if isinstance(content, Mapping) else None
     if not isinstance(parameters, Mapping):
-        held = names_text(content) if isinstance(content, Mapping) else f"a {type(content).__name__}"
+        shown = names_text(content) if isinstance(content, Mapping) else f"a {type(content).__name__}"
         raise InputError(
-            f"{path} is no result of GVHMR: it has no {_PARAMETERS} and holds {held}; give its hmr4d_results.pt, or "
+            f"{path} is no result of GVHMR: it has no {_PARAMETERS} and holds {shown}; give its hmr4d_results.pt, or "
             "weights as --model."
         )
     arrays = {name: _array(path, name, value) for name, value in parameters.items() if value is not None}

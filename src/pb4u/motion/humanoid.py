@@ -192,16 +192,16 @@ def _part_way(first: np.ndarray, second: np.ndarray, amount: float, along: np.nd
     Where the two are nearly opposite slerp would jump from one way round to the other: there only the swing of the
     limb `along` (3,) counts, and its twist not.
     """
-    whole = slerp(first, second, np.full(len(first), amount))
+    straight = slerp(first, second, np.full(len(first), amount))
     if along is None:
-        return whole
+        return straight
     angle = angle_between(first, second)
     if angle.max() < _NEARLY_OPPOSITE[0]:
-        return whole
+        return straight
     turned = rotate(multiply(conjugate(first), second), along)
     swing = multiply(first, between(np.broadcast_to(along, turned.shape), turned))
     share = soft_ramp((angle - _NEARLY_OPPOSITE[0]) / (_NEARLY_OPPOSITE[1] - _NEARLY_OPPOSITE[0]))
-    return slerp(whole, slerp(first, swing, np.full(len(first), amount)), share)
+    return slerp(straight, slerp(first, swing, np.full(len(first), amount)), share)
 
 
 def humanoid_of(body: ShapedBody) -> Humanoid:

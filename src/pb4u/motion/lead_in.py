@@ -70,7 +70,7 @@ def arms_held_off(poses: PoseSequence, arms: ArmClearance, frames: int) -> PoseS
     if not turns.any():
         return poses
     turns = np.concatenate([turns, np.zeros((len(turns), len(poses) - frames, 3))], axis=1)
-    return held_off(arms.humanoid, poses, np.stack([eased(each, poses.fps) for each in turns]))
+    return held_off(arms.humanoid, poses, np.stack([eased(turn, poses.fps) for turn in turns]))
 
 
 def _run_up(poses: PoseSequence, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -93,8 +93,8 @@ def alignment(source: ReferencePose, target: ReferencePose) -> np.ndarray:
             axis = source.directions[upper]
             turn = between(target.directions[upper], axis)
             if upper.startswith("upper_arm"):
-                folded, wanted = rotate(turn, target.elbow_flexion[side]), source.elbow_flexion[side]
-                twist = np.arctan2(np.dot(np.cross(folded, wanted), axis), np.dot(folded, wanted))
+                folded, source_fold = rotate(turn, target.elbow_flexion[side]), source.elbow_flexion[side]
+                twist = np.arctan2(np.dot(np.cross(folded, source_fold), axis), np.dot(folded, source_fold))
                 turn = multiply(from_axis_angle(twist * axis), turn)
             unbend = between(rotate(turn, target.directions[lower]), source.directions[lower])
             result[ROLE_INDEX[upper]] = turn

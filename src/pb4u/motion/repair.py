@@ -119,9 +119,9 @@ def without_gaps(recording: Recording, numbers: np.ndarray) -> Recording:
     if span > _MOST_MISSING * frames:
         raise InputError(f"{recording.name}: of {span:,} frames only {frames:,} are there; too few to be a motion.")
     times = (numbers - numbers[0]).astype(np.float64)
-    wanted = np.arange(span, dtype=np.float64)
-    upper = np.clip(np.searchsorted(times, wanted), 1, frames - 1)
-    share = (wanted - times[upper - 1]) / (times[upper] - times[upper - 1])
+    grid = np.arange(span, dtype=np.float64)
+    upper = np.clip(np.searchsorted(times, grid), 1, frames - 1)
+    share = (grid - times[upper - 1]) / (times[upper] - times[upper - 1])
     rotations, roots = recording.poses.rotations, recording.poses.root_positions
     poses = replace(
         recording.poses,

@@ -37,30 +37,30 @@ def standing_at_rest(recording: Recording, path: Path) -> Recording:
     Raises:
         InputError: the joints make no person in its frames.
     """
-    whole = recording.poses
-    chosen = np.unique(np.linspace(0, len(whole) - 1, _SAMPLES).round().astype(int))
-    poses = PoseSequence(whole.rotations[chosen], whole.root_positions[chosen], whole.fps)
+    all_poses = recording.poses
+    chosen = np.unique(np.linspace(0, len(all_poses) - 1, _SAMPLES).round().astype(int))
+    poses = PoseSequence(all_poses.rotations[chosen], all_poses.root_positions[chosen], all_poses.fps)
     joints = joint_positions(recording.skeleton, poses)
     _require_person(recording, joints, path)
     stance = _stance(recording)
     up = standing_axis(recording, joints, None if stance is None else stance[1])
     if stance is not None:
-        own = np.tile(from_xyzw(Rotation.from_matrix(stance).as_quat()), (recording.skeleton.bone_count, 1))
+        axes = np.tile(from_xyzw(Rotation.from_matrix(stance).as_quat()), (recording.skeleton.bone_count, 1))
     else:
-        own, recording = axes_in_t_pose(recording, poses, joints, up)
+        axes, recording = axes_in_t_pose(recording, poses, joints, up)
         note = f"{recording.name}: nobody stands in its rest pose, so the frames tell how its bones are turned."
         recording = replace(recording, notes=(*recording.notes, note))
-    return _counted_from(recording, own).stood_up(up)
+    return _counted_from(recording, axes).stood_up(up)
 
 
-def _counted_from(recording: Recording, own: np.ndarray) -> Recording:
-    """The recording counted from the pose in which each bone has lost its rotation `own` (bones, 4)."""
+def _counted_from(recording: Recording, axes: np.ndarray) -> Recording:
+    """The recording counted from the pose in which each bone has lost its rotation `axes` (bones, 4)."""
     skeleton, poses = recording.skeleton, recording.poses
     joints = skeleton.joints.copy()
     for bone, parent in enumerate(skeleton.parents.tolist()):
         if parent >= 0:
-            joints[bone] = joints[parent] + rotate(own[parent], skeleton.joints[bone] - skeleton.joints[parent])
-    rotations = multiply(poses.rotations, conjugate(own))
+            joints[bone] = joints[parent] + rotate(axes[parent], skeleton.joints[bone] - skeleton.joints[parent])
+    rotations = multiply(poses.rotations, conjugate(axes))
     return replace(recording, skeleton=replace(skeleton, joints=joints), poses=replace(poses, rotations=rotations))
 
 

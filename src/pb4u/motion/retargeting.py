@@ -92,10 +92,10 @@ class Retargeting:
         """
         recording, skeleton = self.recording, self.humanoid.body.skeleton
         times = np.unique(np.linspace(0.0, recording.duration, _LIKENESS_SAMPLES))
-        own = rotate(self.turn, joint_positions(recording.skeleton, recording.sampled(times)))
+        bone_places = rotate(self.turn, joint_positions(recording.skeleton, recording.sampled(times)))
         body = joint_positions(skeleton, self.poses(times))
         places = {
-            role: np.stack([own[:, recording.joint_index(role)], body[:, skeleton.index(bone)]])
+            role: np.stack([bone_places[:, recording.joint_index(role)], body[:, skeleton.index(bone)]])
             for role, bone in self.humanoid.target.joints.items()
         }
         places |= {role: 0.5 * (places[f"{role}.L"] + places[f"{role}.R"]) for role in ("upper_arm", "thigh")}
@@ -116,8 +116,8 @@ class Retargeting:
         standing = np.zeros(len(recording.poses), dtype=bool)
         for stance in stances(recording):
             standing[stance.first : stance.stop] = True
-        known = np.flatnonzero(standing) if standing.any() else np.arange(len(standing))
-        chosen = known[np.linspace(0, len(known) - 1, min(len(known), _FLOOR_SAMPLES)).round().astype(int)]
+        frames = np.flatnonzero(standing) if standing.any() else np.arange(len(standing))
+        chosen = frames[np.linspace(0, len(frames) - 1, min(len(frames), _FLOOR_SAMPLES)).round().astype(int)]
         lowest = lowest_heights(self.humanoid.body, self.poses(chosen / recording.poses.fps))
         low = np.percentile(lowest, FLOOR_PERCENTILE)
         return float(np.median(lowest[lowest < low + _LEVEL]) if standing.any() else low)
@@ -207,17 +207,17 @@ class RecordedMotion(Motion):
         as_measured = retargeting.direct and not self.recording.from_video
         return None if as_measured or self.arms_away_degrees is not None else retargeting.arm_clearance
 
-    def _held_off(self, arms: ArmClearance, poses: PoseSequence, kept: np.ndarray) -> Performed:
+    def _held_off(self, arms: ArmClearance, poses: PoseSequence, mask: np.ndarray) -> Performed:
         """Some frames of the poses with the arms swung out of the body."""
         turns = arms.turns(poses)
-        turns = np.stack([eased(each, poses.fps)[kept] for each in turns])
-        poses = replace(poses, rotations=poses.rotations[kept], root_positions=poses.root_positions[kept])
+        turns = np.stack([eased(turn, poses.fps)[mask] for turn in turns])
+        poses = replace(poses, rotations=poses.rotations[mask], root_positions=poses.root_positions[mask])
         angles = np.rad2deg(np.linalg.norm(turns, axis=-1))
         if angles.max() < _LEAST_TOLD:
             return Performed(held_off(arms.humanoid, poses, turns))
         frames = int((angles >= _LEAST_TOLD).any(axis=0).sum())
         note = (
-            f"{self.name}: arms are swung out by up to {angles.max():.0f} degrees in {frames} of {len(kept)} frames, "
+            f"{self.name}: arms are swung out by up to {angles.max():.0f} degrees in {frames} of {len(mask)} frames, "
             "where they would go into the body; --arms-away 0 leaves them as recorded."
         )
         return Performed(held_off(arms.humanoid, poses, turns), (note,))

@@ -95,16 +95,16 @@ def read_amass(path: Path) -> Recording:
             "give a file of BEDLAM's motions, which has poses and trans, or save the rows of one person as these."
         )
     if missing:
-        held = names_text(names, ("pose", "trans", "orient"))
-        way = "give a motion that lies beside it" if held == "betas, gender" else "save a motion under these names"
-        raise InputError(f"{path} has no {' and no '.join(missing)}; it holds {held}: {way}.")
+        shown = names_text(names, ("pose", "trans", "orient"))
+        way = "give a motion that lies beside it" if shown == "betas, gender" else "save a motion under these names"
+        raise InputError(f"{path} has no {' and no '.join(missing)}; it holds {shown}: {way}.")
     file = read_arrays(path, (pose_key, translation_key, *([] if rate_key is None else [rate_key])))
     poses, translations = file[pose_key], file[translation_key]
     rate = np.array(np.nan) if rate_key is None else file[rate_key]
     betas, gender = (_optional(path, key) for key in ("betas", "gender"))
     if rate.size != 1 or not all(a.dtype.kind in "iuf" for a in (poses, translations, rate)):
-        wanted = f"{pose_key}, {translation_key} and {rate_key}"
-        raise InputError(f"{path}: {wanted} should be numbers, the last a single one.")
+        expected = f"{pose_key}, {translation_key} and {rate_key}"
+        raise InputError(f"{path}: {expected} should be numbers, the last a single one.")
     of_amass = (pose_key, translation_key) == ("poses", "trans")
     recording = smpl_recording(
         path, poses, translations, float(rate.reshape(-1)[0]), of_amass, "its keys" if of_amass else "nothing"
@@ -173,9 +173,9 @@ def vto_recording(path: Path, content: Any) -> Recording:
     pose_key = next((key for key in _POSE_KEYS if key in content), None)
     translation_key = next((key for key in _TRANSLATION_KEYS if key in content), None)
     if pose_key is None or translation_key is None:
-        wanted = "poses" if pose_key is None else "trans"
-        held = names_text(content, ("pose", "trans", "orient"))
-        raise InputError(f"{path} has no {wanted}; it holds {held}: save a motion under this name.")
+        expected = "poses" if pose_key is None else "trans"
+        shown = names_text(content, ("pose", "trans", "orient"))
+        raise InputError(f"{path} has no {expected}; it holds {shown}: save a motion under this name.")
     poses, translations = (stored_numbers(content[key], path, key) for key in (pose_key, translation_key))
     if poses.ndim == 2 and poses.shape[1] == 69 and "global_orient" in content:
         root = stored_numbers(content["global_orient"], path, "global_orient")

@@ -40,22 +40,22 @@ def steadied(recording: Recording) -> Recording:
     if frames < 2:
         return recording
     smooth = _smoothed(recording) if is_sampled_enough(frames, fps, CUTOFF) else recording
-    kept = smooth
+    steady = smooth
     for _ in range(_ROUNDS):  # a foot that slides is seen to stand once the body slides no more
-        stands, velocity = _standing(kept)
+        stands, velocity = _standing(steady)
         slide = (stands[..., None] * velocity).sum(axis=1) / np.maximum(stands.sum(axis=1), 1.0)[:, None]
         travel = np.zeros((frames, 3))
         travel[1:, [0, 2]] = -np.cumsum(0.5 * (slide[1:] + slide[:-1]), axis=0) / fps
-        roots = kept.poses.root_positions + travel / recording.metres
-        kept = replace(kept, poses=replace(kept.poses, root_positions=roots))
-    stands, _ = _standing(kept)
-    kept = _held(kept, stands)
-    before, after = (_sliding(each, stands) for each in (recording, kept))
+        roots = steady.poses.root_positions + travel / recording.metres
+        steady = replace(steady, poses=replace(steady.poses, root_positions=roots))
+    stands, _ = _standing(steady)
+    steady = _held(steady, stands)
+    before, after = (_sliding(version, stands) for version in (recording, steady))
     note = (
         f"{recording.name}: taken from a video, so it is smoothed (what is faster than {CUTOFF:g} Hz) and feet that "
         f"stand are held: they slid at {100 * before:.0f} cm/s, now {100 * after:.0f}; --raw-motion leaves it as it is."
     )
-    return replace(kept, notes=(*recording.notes, note))
+    return replace(steady, notes=(*recording.notes, note))
 
 
 def _smoothed(recording: Recording) -> Recording:
@@ -92,8 +92,8 @@ def _held(recording: Recording, stands: np.ndarray) -> Recording:
         inside = np.searchsorted(edges, np.arange(len(poses)), side="right")
         nearest = np.where(inside % 2 == 1, inside // 2, nearest)
         offset = places[nearest] - joints[:, ball]
-        moved = recording.metres * np.linalg.norm(offset, axis=1)
-        share = stands[:, k] * np.minimum(1.0, _FARTHEST / np.maximum(moved, 1e-9))
+        shift = recording.metres * np.linalg.norm(offset, axis=1)
+        share = stands[:, k] * np.minimum(1.0, _FARTHEST / np.maximum(shift, 1e-9))
         target = joints[:, ankle] + share[:, None] * offset
         thigh, shin = _leg_turns(joints[:, hip], joints[:, knee], joints[:, ankle], target)
         rotations[:, hip] = multiply(thigh, rotations[:, hip])

@@ -36,11 +36,11 @@ def standing_axis(recording: Recording, joints: np.ndarray, rest: np.ndarray | N
     mean = (shoulders - feet).mean(axis=0) / max(height, 1e-12)
     along = nearest_axis(mean)
     stands = [along] if mean @ along > _STANDS else []
-    known = [] if rest is None else [nearest_axis(rest)]
-    if stands and known and np.array_equal(along, known[0]):
+    rest_axes = [] if rest is None else [nearest_axis(rest)]
+    if stands and rest_axes and np.array_equal(along, rest_axes[0]):
         return along
-    supposed = _Y if not known or np.array_equal(known[0], _Y) else [*stands, *known][0]
-    axes = np.array([supposed, *stands, *known, _Y, _Z])
+    supposed = _Y if not rest_axes or np.array_equal(rest_axes[0], _Y) else [*stands, *rest_axes][0]
+    axes = np.array([supposed, *stands, *rest_axes, _Y, _Z])
     off = np.abs(recording.metres * (joints @ axes.T).min(axis=1)).mean(axis=0)
     at_origin = recording.metres * np.abs(joints[0, 0]).max() < _AT_ORIGIN
     other = int(off.argmin())

@@ -21,7 +21,7 @@ _RATE = 30.0
 
 
 def holds_people(content: Any) -> bool:
-    """Whether a pickle is a result of WHAM: people by their number; the empty one, of nobody, as well.
+    """Whether a pickle is a result of WHAM: people by number, or an empty dictionary where it found nobody.
 
     Args:
         content: content of the pickle.
@@ -40,30 +40,30 @@ def wham_recording(path: Path, content: Mapping[Any, Any], person: str | None) -
     Raises:
         InputError: it is of nobody, has no such person or several of whom none is chosen, or a part does not fit.
     """
-    people = {str(number): held for number, held in content.items()}
+    people = {str(number): entry for number, entry in content.items()}
     if not people:
         raise InputError(f"{path} holds nobody: no person was followed for long enough; try another video.")
     if person not in people:
-        told = ", ".join(f"{name} ({_length(held)} frames)" for name, held in list(people.items())[:10])
+        names = ", ".join(f"{name} ({_length(entry)} frames)" for name, entry in list(people.items())[:10])
         if person is not None:
-            raise InputError(f"{path} has no person {person[:40]}; it has {told}; choose one of these.")
+            raise InputError(f"{path} has no person {person[:40]}; it has {names}; choose one of these.")
         if len(people) > 1:
-            raise InputError(f"{path} holds {len(people)} people, {told}; choose one as {path}:{next(iter(people))}.")
+            raise InputError(f"{path} holds {len(people)} people, {names}; choose one as {path}:{next(iter(people))}.")
         person = next(iter(people))
-    held = people[person]
-    if "pose_world" not in held or "trans_world" not in held:
+    entry = people[person]
+    if "pose_world" not in entry or "trans_world" not in entry:
         raise InputError(
-            f"{path}: person {person} has no pose_world and trans_world, but {names_text(held)}; motion before a "
+            f"{path}: person {person} has no pose_world and trans_world, but {names_text(entry)}; motion before a "
             "camera alone, as of VIBE and PHALP, is not read: give what WHAM, TRAM or GVHMR writes."
         )
-    poses, translations = (stored_numbers(held[key], path, key) for key in ("pose_world", "trans_world"))
+    poses, translations = (stored_numbers(entry[key], path, key) for key in ("pose_world", "trans_world"))
     recording = smpl_recording(path, poses, translations, _RATE, told_by="its program")
     recording = replace(recording, name=path.stem if len(people) == 1 else f"{path.stem}_{person}", from_video=True)
-    if "frame_ids" in held:
-        recording = without_gaps(recording, stored_numbers(held["frame_ids"], path, "frame_ids"))
-    note = shape_note(path, stored_numbers(held["betas"], path, "betas")) if "betas" in held else ()
+    if "frame_ids" in entry:
+        recording = without_gaps(recording, stored_numbers(entry["frame_ids"], path, "frame_ids"))
+    note = shape_note(path, stored_numbers(entry["betas"], path, "betas")) if "betas" in entry else ()
     return replace(recording, notes=(*recording.notes, *note))
 
 
-def _length(held: Mapping[str, Any]) -> int:
-    return len(held["pose_world"]) if isinstance(held.get("pose_world"), np.ndarray) else 0
+def _length(entry: Mapping[str, Any]) -> int:
+    return len(entry["pose_world"]) if isinstance(entry.get("pose_world"), np.ndarray) else 0

@@ -100,8 +100,8 @@ def passed_edges(
         layers: the second, the last and the norm.
         ends: of the edges.
     """
-    given = (latents, from_senders, from_receivers, weight, bias, *_weights(layers))
-    new, sums = _EdgePass.apply(layers[2].eps, torch.is_grad_enabled(), ends, *given)  # type: ignore[no-untyped-call]
+    tensors = (latents, from_senders, from_receivers, weight, bias, *_weights(layers))
+    new, sums = _EdgePass.apply(layers[2].eps, torch.is_grad_enabled(), ends, *tensors)  # type: ignore[no-untyped-call]
     return new, sums
 
 
@@ -125,9 +125,9 @@ def propagated(
         decay: gamma.
         inflows: ends of each set of edges.
     """
-    given = (state, *weights, *_weights(layers), *constants)
+    tensors = (state, *weights, *_weights(layers), *constants)
     after: Tensor = _Propagation.apply(  # type: ignore[no-untyped-call]
-        steps, decay, layers[2].eps, torch.is_grad_enabled(), inflows, *given
+        steps, decay, layers[2].eps, torch.is_grad_enabled(), inflows, *tensors
     )
     return after
 
@@ -139,18 +139,18 @@ def _weights(layers: Layers) -> tuple[Tensor, ...]:
 
 class _Perceptron(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, eps: float, kept: bool, *given: Tensor) -> Tensor:
-        tensors = [each.contiguous() for each in given]
+    def forward(ctx: Any, eps: float, keep: bool, *inputs: Tensor) -> Tensor:
+        tensors = [tensor.contiguous() for tensor in inputs]
         values, *layers = _arrays(*tensors)
         weights, eps = loops.turned(tuple(layers)), values.dtype.type(eps)
         out = np.empty((len(values), len(layers[1])), values.dtype)
-        between = _between(out if kept else out[:0])
+        between = _between(out if keep else out[:0])
 
         def passed(rows: tuple[int, int]) -> None:
             loops.perceptron(values, weights, eps, between, out, *rows)
 
         parallel_map(passed, _shared(len(out), _SHARED_ROWS, out.shape[1]))
-        if kept:
+        if keep:
             ctx.save_for_backward(*tensors, *map(torch.from_numpy, between))
         return torch.from_numpy(out)
 
@@ -159,21 +159,21 @@ class _Perceptron(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> Gradients:
         values, *saved = ctx.saved_tensors
         further, on_values = [torch.zeros_like(weight) for weight in saved[:-4]], torch.empty_like(values)
-        on, given, *arrays = _arrays(gradients[0].contiguous(), values, *saved)
-        layers, between, wanted = tuple(arrays[:-4]), tuple(arrays[-4:]), ctx.needs_input_grad[2]
+        on, inputs, *arrays = _arrays(gradients[0].contiguous(), values, *saved)
+        layers, between, is_needed = tuple(arrays[:-4]), tuple(arrays[-4:]), ctx.needs_input_grad[2]
         derivatives.perceptron_derivative(
-            on, given, layers, between, tuple(_arrays(*further)), wanted, _array(on_values)
+            on, inputs, layers, between, tuple(_arrays(*further)), is_needed, _array(on_values)
         )
-        return None, None, on_values if wanted else None, *further
+        return None, None, on_values if is_needed else None, *further
 
 
 class _EdgePass(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, eps: float, kept: bool, ends: Ends, *given: Tensor) -> Any:
-        tensors = [each.contiguous() for each in given]
+    def forward(ctx: Any, eps: float, keep: bool, ends: Ends, *inputs: Tensor) -> Any:
+        tensors = [tensor.contiguous() for tensor in inputs]
         latents, at_sender, at_receiver, *layers = _arrays(*tensors)
         new, sums, eps = np.empty_like(latents), np.empty_like(at_receiver), latents.dtype.type(eps)
-        weights, between = loops.turned(tuple(layers)), _between(new if kept else new[:0])
+        weights, between = loops.turned(tuple(layers)), _between(new if keep else new[:0])
 
         shares = (at_sender, at_receiver, *ends.arrays())
 
@@ -181,7 +181,7 @@ class _EdgePass(torch.autograd.Function):
             loops.edge_pass(latents, shares, weights, eps, between, new, sums, *nodes)
 
         parallel_map(passed, _shared(len(sums), _SHARED_NODES, sums.shape[1]))
-        if kept:
+        if keep:
             ctx.save_for_backward(*tensors, *map(torch.from_numpy, between))
         ctx.ends = ends
         ctx.set_materialize_grads(False)
@@ -192,57 +192,58 @@ class _EdgePass(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor | None) -> Gradients:
         tensors, between = ctx.saved_tensors[:-4], tuple(_arrays(*ctx.saved_tensors[-4:]))
         latents, _, _, *layers = _arrays(*tensors)
-        further, on_latents = [torch.zeros_like(each) for each in tensors[1:]], torch.empty_like(tensors[0])
+        further, on_latents = [torch.zeros_like(tensor) for tensor in tensors[1:]], torch.empty_like(tensors[0])
         of_new, of_sums = gradients
         on_sums = torch.zeros_like(tensors[2]) if of_sums is None else of_sums.contiguous()
         # Where nothing reads the new latents any more, any array stands for their derivative.
         on_new = on_latents if of_new is None else of_new.contiguous()
         on = (*_arrays(on_new, on_sums), of_new is not None)
         changed = tuple(_arrays(*further)), _array(on_latents)
-        given = (*on, latents, *ctx.ends.arrays(), tuple(layers), between, *changed)
-        derivatives.edge_pass_derivative(*given)
+        arguments = (*on, latents, *ctx.ends.arrays(), tuple(layers), between, *changed)
+        derivatives.edge_pass_derivative(*arguments)
         return None, None, None, on_latents, *further
 
 
 class _Propagation(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, steps: int, decay: float, eps: float, kept: bool, inflows: Sequence[Ends], *given: Tensor
+        ctx: Any, steps: int, decay: float, eps: float, keep: bool, inflows: Sequence[Ends], *inputs: Tensor
     ) -> Tensor:
-        tensors = [each.contiguous() for each in given]
+        tensors = [tensor.contiguous() for tensor in inputs]
         state, of_sender, of_receiver, *others = _arrays(*tensors)
         of_sender, _, second, second_bias, last, last_bias, *norm = loops.turned((of_sender, others[1], *others[:6]))
         degrees = np.stack([np.diff(ends.receivers.offsets.numpy()) for ends in inflows]).sum(axis=0)
         biases = degrees.astype(state.dtype)[:, None] * last_bias
         layers = (second, second_bias, last, biases, *norm, of_sender, of_receiver.T.copy())
         small, gamma = state.dtype.type(eps), state.dtype.type(decay)
-        made = [_Step.of(state, others[6:], kept) for _ in range(steps + 1 if kept else 2)]
+        buffers = [_Step.of(state, others[6:], keep) for _ in range(steps + 1 if keep else 2)]
 
         def moved(nodes: tuple[int, int], before: _Step, after: _Step) -> None:
             sets = zip(others[6:], inflows, before.messages, strict=True)
-            messages = tuple((own, *ends.arrays(), *both, ends.senders is not None) for own, ends, both in sets)
-            given = (before.state, *before.at_ends, before.sums, before.values, before.inverse)
-            loops.propagation_step(messages, given, layers, small, gamma, (after.state, *after.at_ends), *nodes)
+            messages = tuple((row, *ends.arrays(), *both, ends.senders is not None) for row, ends, both in sets)
+            arrays = (before.state, *before.at_ends, before.sums, before.values, before.inverse)
+            loops.propagation_step(messages, arrays, layers, small, gamma, (after.state, *after.at_ends), *nodes)
 
-        now = made[0]
+        now = buffers[0]
         now.state[:] = state
         for weight, at_end in zip(layers[-2:], now.at_ends, strict=True):
             np.dot(state, weight, at_end)
         spans = _shared(len(state), _SHARED_NODES, state.shape[1])
         for number in range(steps):
-            after = made[(number + 1) % len(made)]
+            after = buffers[(number + 1) % len(buffers)]
             parallel_map(partial(moved, before=now, after=after), spans)
             now = after
-        if kept:
+        if keep:
             ctx.save_for_backward(*tensors[1:])
-        ctx.taken, ctx.inflows, ctx.decay, ctx.degrees = made[:-1], inflows, decay, torch.from_numpy(degrees)[:, None]
+        ctx.taken, ctx.inflows, ctx.decay = buffers[:-1], inflows, decay
+        ctx.degrees = torch.from_numpy(degrees)[:, None]
         return torch.from_numpy(now.state)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> Gradients:
         of_sender, of_receiver, second, _, last, _, scale, *_ = ctx.saved_tensors
-        further = [torch.zeros_like(each) for each in ctx.saved_tensors]
+        further = [torch.zeros_like(tensor) for tensor in ctx.saved_tensors]
         d_sender, d_receiver, d_second, d_second_bias, d_last, d_last_bias, d_scale, d_shift, *d_constants = further
         on, unused = gradients[0].contiguous(), torch.zeros_like(scale)
         for step in reversed(ctx.taken):
@@ -255,8 +256,8 @@ class _Propagation(torch.autograd.Function):
             on_ends = torch.zeros_like(state), torch.zeros_like(state)
             for ends, between, d_constant in zip(ctx.inflows, step.messages, d_constants, strict=True):
                 changed = _arrays(d_second, d_second_bias, d_constant, *on_ends)
-                given = (_array(of_sums), *between, _array(second), *ends.arrays(), *changed, ends.senders is not None)
-                derivatives.message_derivative(*given)
+                inputs = (_array(of_sums), *between, _array(second), *ends.arrays(), *changed, ends.senders is not None)
+                derivatives.message_derivative(*inputs)
             on = on * ctx.decay
             for share, of_end, d_end in zip(on_ends, (of_sender, of_receiver), (d_sender, d_receiver), strict=True):
                 d_end.addmm_(share.t(), state)
@@ -286,12 +287,12 @@ class _Step(NamedTuple):
     inverse: np.ndarray
 
     @staticmethod
-    def of(state: np.ndarray, constants: Sequence[np.ndarray], kept: bool) -> _Step:
-        rows = [each if kept else each[:0] for each in constants]
+    def of(state: np.ndarray, constants: Sequence[np.ndarray], keep: bool) -> _Step:
+        rows = [row if keep else row[:0] for row in constants]
         return _Step(
             np.empty_like(state),
             (np.empty_like(state), np.empty_like(state)),
-            [(np.empty_like(each), np.empty_like(each)) for each in rows],
+            [(np.empty_like(row), np.empty_like(row)) for row in rows],
             np.empty_like(state),
             np.empty_like(state),
             np.empty(len(state), state.dtype),
@@ -316,4 +317,4 @@ def _array(values: Tensor) -> np.ndarray:
 
 
 def _arrays(*values: Tensor) -> list[np.ndarray]:
-    return [_array(each) for each in values]
+    return [_array(value) for value in values]

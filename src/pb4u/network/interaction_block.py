@@ -47,8 +47,8 @@ class InteractionBlock(nn.Module):
                 nothing reads them again.
             masks: (edges, 1) dimensionless factors on the messages by set name, 1 where a set is not named.
         """
-        wanted, masks = list(nodes) if receivers is None else receivers, masks or {}
-        entering = {name: {0: nodes[name]} for name in wanted}
+        names, masks = list(nodes) if receivers is None else receivers, masks or {}
+        entering = {name: {0: nodes[name]} for name in names}
         new_edges = {}
         for name, edge_set in graph.edges.items():
             if edge_set.kind not in self.kinds or edge_set.receiver_set not in entering:
@@ -70,8 +70,8 @@ def _passed(
     at_receiver = mlp.project(RECEIVER, nodes[edge_set.receiver_set])
     if mask is None and are_compiled(latents, mlp.first.weight, edge_set.receivers):
         ends, norm = Ends(edge_set.senders, edge_set.receivers), cast(nn.LayerNorm, mlp.norm)
-        layers, own = (mlp.second, mlp.last, norm), mlp.weight_of(EDGE)
-        return passed_edges(latents, at_sender, at_receiver, own, mlp.first.bias, layers, ends)
+        layers, edge_weight = (mlp.second, mlp.last, norm), mlp.weight_of(EDGE)
+        return passed_edges(latents, at_sender, at_receiver, edge_weight, mlp.first.bias, layers, ends)
     first = mlp.project(EDGE, latents, bias=True) + gather(at_sender, edge_set.senders)
     new = mlp.after_first(first + gather(at_receiver, edge_set.receivers))
     return latents + new, segment_sum(new if mask is None else new * mask, edge_set.receivers)

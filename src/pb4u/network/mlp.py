@@ -113,14 +113,14 @@ class SplitMLP(MLP):
         Args:
             values: (rows, columns of that part) [1] by number of the part.
         """
-        given = list(values.values())
-        if isinstance(self.norm, nn.LayerNorm) and are_compiled(given[0], self.first.weight):
+        parts = list(values.values())
+        if isinstance(self.norm, nn.LayerNorm) and are_compiled(parts[0], self.first.weight):
             weight, layers = (
                 torch.cat([self.weight_of(part) for part in values], 1),
                 (self.second, self.last, self.norm),
             )
-            return normed_perceptron(torch.cat(given, 1), weight, self.first.bias, layers)
-        shares = [self.project(part, each) for part, each in values.items()]
+            return normed_perceptron(torch.cat(parts, 1), weight, self.first.bias, layers)
+        shares = [self.project(part, rows) for part, rows in values.items()]
         return self.after_first(reduce(torch.add, shares) + self.first.bias)
 
     def project(self, part: int, values: Tensor, bias: bool = False) -> Tensor:

@@ -74,11 +74,11 @@ class Propagation(nn.Module):
         inflows = self._inflows(nodes, edges, graph)
         if any(inflow.receivers.spare for inflow in inflows) and len(set(steps)) > 1:
             return self._side_by_side(nodes[GARMENT], inflows, graph, steps)
-        state, done, depths = nodes[GARMENT], 0, sorted(set(steps))
+        state, depth_so_far, depths = nodes[GARMENT], 0, sorted(set(steps))
         running = dict(enumerate(pairwise(graph.vertex_offsets)))
         finished: dict[int, Tensor] = {}
         for depth in depths:
-            state, done = self._after(depth - done, state, inflows), depth
+            state, depth_so_far = self._after(depth - depth_so_far, state, inflows), depth
             finished |= {garment: state[slice(*span)] for garment, span in running.items() if steps[garment] == depth}
             running = {garment: span for garment, span in running.items() if steps[garment] > depth}
             if running:
@@ -93,7 +93,7 @@ class Propagation(nn.Module):
         spans = list(pairwise(graph.vertex_offsets))
         for number in range(max(steps)):
             after = self._step(state, inflows)
-            parts = [(after if own > number else state)[a:b] for (a, b), own in zip(spans, steps, strict=True)]
+            parts = [(after if count > number else state)[a:b] for (a, b), count in zip(spans, steps, strict=True)]
             state = torch.cat(parts)
         return state
 

@@ -1,4 +1,4 @@
-"""Values on garments without what is short along the surface: a screened Poisson equation on the rest mesh."""
+"""Values on garments without their short wavelengths: a screened Poisson equation on the rest mesh."""
 
 from __future__ import annotations
 
@@ -120,16 +120,16 @@ def _by_sweeps(diagonal: np.ndarray, weights: Any, device: torch.device) -> Call
     )
 
     def solve(values: Tensor) -> Tensor:
-        left = inverse * values
-        move, solution = left / middle, torch.zeros_like(left)
+        residual = inverse * values
+        move, solution = residual / middle, torch.zeros_like(residual)
         if half <= 1e-12 * middle:
             return move
         ratio = half / middle
         for _ in range(min(sweeps, _MOST_SWEEPS)):
             solution = solution + move
-            left = left - move + (share * move[around]).sum(1)
+            residual = residual - move + (share * move[around]).sum(1)
             following = 1.0 / (2.0 * middle / half - ratio)
-            move = following * ratio * move + (2.0 * following / half) * left
+            move = following * ratio * move + (2.0 * following / half) * residual
             ratio = following
         return solution
 

@@ -67,7 +67,7 @@ class PerVertexScaling:
         return garments.incident_length[:, None]
 
     def on_bulk(self, lengths: Tensor) -> Tensor:
-        """Factors (vertices, 1), dimensionless, on what is long, where edges have the given lengths.
+        """Factors (vertices, 1), dimensionless, on the bulk (long wavelengths), where edges have the given lengths.
 
         Args:
             lengths: (vertices, 1) [m].
@@ -75,7 +75,7 @@ class PerVertexScaling:
         return lengths / self.reference_length
 
     def low_pass(self, garments: PackedGarments) -> SurfaceLowPass | None:
-        """What tells bulk from wrinkles, or None where both have one factor.
+        """Low-pass filter that separates bulk from wrinkles; None where both have one factor.
 
         Args:
             garments: the pack.
@@ -223,8 +223,8 @@ class SwitchedScaling:
         Raises:
             InputError: the edges of a garment are longer than what the rule tells apart.
         """
-        own = torch.tensor([self._trained_length(garments, k) for k in range(garments.garment_count)])
-        lengths = own.to(graph.incident_length)[graph.node_owner][:, None]
+        trained = torch.tensor([self._trained_length(garments, k) for k in range(garments.garment_count)])
+        lengths = trained.to(graph.incident_length)[graph.node_owner][:, None]
         learnt, present = self.trained.on_bulk(lengths), self.used.lengths(graph)
         factors = learnt if present is None else learnt * (present / lengths).clamp_max(1.0)
         low_pass = self.used.low_pass(garments)
@@ -246,7 +246,7 @@ def with_scaling(scaling: Scaling, name: str) -> Scaling:
         scaling: the other rule.
         name: per-vertex, mean, none or band-split.
     """
-    made = SCALINGS[name]()
-    if isinstance(made, PerVertexScaling) and isinstance(scaling, PerVertexScaling):
-        return scaling if type(scaling) is type(made) else replace(made, reference_length=scaling.reference_length)
-    return made
+    other = SCALINGS[name]()
+    if isinstance(other, PerVertexScaling) and isinstance(scaling, PerVertexScaling):
+        return scaling if type(scaling) is type(other) else replace(other, reference_length=scaling.reference_length)
+    return other

@@ -69,7 +69,7 @@ def departures(checkpoint: Checkpoint) -> list[str]:
     if not isinstance(configuration, Pb4uConfiguration):
         method = type(configuration).__name__.removesuffix("Configuration")
         return [f"It is {method}, a method that the paper compares with.", *_additions(configuration)]
-    found = [
+    lines = [
         *_size(configuration),
         *_additions(configuration),
         *_other("node", set(configuration.layout.node), NODE),
@@ -78,14 +78,14 @@ def departures(checkpoint: Checkpoint) -> list[str]:
     ]
     edges = configuration.world_edges
     if not isinstance(edges, WorldEdgeRule) or edges.neighbours < MOST_NEIGHBOURS:
-        found.append("World edges join a garment vertex to the nearest of the body, not to all within the threshold.")
+        lines.append("World edges join a garment vertex to the nearest of the body, not to all within the threshold.")
     if configuration.propagation != PAPER_PROPAGATION:
-        found.append("Propagation has the form of the released code.")
+        lines.append("Propagation has the form of the released code.")
     if isinstance(configuration.control, FixedSteps):
-        found.append("The number of propagation steps does not follow the resolution.")
+        lines.append("The number of propagation steps does not follow the resolution.")
     if type(configuration.scaling) is not PerVertexScaling:
-        found.append("Updates are not scaled by the edge length at each vertex.")
-    return found + _training(configuration, checkpoint)
+        lines.append("Updates are not scaled by the edge length at each vertex.")
+    return lines + _training(configuration, checkpoint)
 
 
 def _size(configuration: Pb4uConfiguration) -> list[str]:
@@ -98,21 +98,21 @@ def _size(configuration: Pb4uConfiguration) -> list[str]:
 
 def _additions(configuration: NetworkConfiguration) -> list[str]:
     """Sentences on what surrounds a network here and not in the paper."""
-    found = [
+    lines = [
         f"It reads the node feature {feature.name}: {feature.source.removesuffix('; ours')}."
         for feature in configuration.layout.extra
     ]
     if configuration.warm_start_shares:
-        found.append("A step starts from the body-motion warm start, not from free flight.")
+        lines.append("A step starts from the body-motion warm start, not from free flight.")
     if configuration.passes > 1:
-        found.append(f"It is evaluated {configuration.passes} times in a step.")
+        lines.append(f"It is evaluated {configuration.passes} times in a step.")
     if configuration.conjugate:
-        found.append("A line search on the energies decides how far the step goes along each pass.")
+        lines.append("A line search on the energies decides how far the step goes along each pass.")
     if configuration.further_passes:
-        found.append(f"Up to {configuration.further_passes} more passes follow while they lower the energy by much.")
+        lines.append(f"Up to {configuration.further_passes} more passes follow while they lower the energy by much.")
     if configuration.descent_size:
-        found.append("The gradient feature is normalised, and what is predicted from it scaled back.")
-    return found
+        lines.append("The gradient feature is normalised, and what is predicted from it scaled back.")
+    return lines
 
 
 def _other(kind: str, names: set[str], paper: set[str]) -> list[str]:

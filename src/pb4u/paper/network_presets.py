@@ -134,12 +134,12 @@ release_contourcraft = ContourCraftConfiguration(
 )  # fmt: skip
 
 
-def _ablations(prefix: str, whole: Pb4uConfiguration, steps: int) -> dict[str, NetworkConfiguration]:
+def _ablations(prefix: str, configuration: Pb4uConfiguration, steps: int) -> dict[str, NetworkConfiguration]:
     """The network without propagation control, without update scaling, and without both."""
-    fixed = replace(whole, control=FixedSteps(steps))
+    fixed = replace(configuration, control=FixedSteps(steps))
     return {
         f"{prefix}without_propagation_control": fixed,
-        f"{prefix}without_update_scaling": replace(whole, scaling=NoScaling()),
+        f"{prefix}without_update_scaling": replace(configuration, scaling=NoScaling()),
         f"{prefix}without_both": replace(fixed, scaling=NoScaling()),
     }
 

@@ -46,8 +46,8 @@ def loss_and_latency(summary: Summary) -> list[Block]:
     for level in summary.plan.protocol.levels:
         names = [*summary.columns, *(f"{model} ({PAPER_MARK})" for model in theirs)]
         columns = [
-            [*_marked(_ours(summary, level, each), form), *_marked(_theirs(summary, level, each, theirs), form)]
-            for each, form in (("total", ".2E"), ("ms", ".1f"))
+            [*_marked(_ours(summary, level, quantity), form), *_marked(_theirs(summary, level, quantity, theirs), form)]
+            for quantity, form in (("total", ".2E"), ("ms", ".1f"))
         ]
         lost = [*_lost(summary, level), *[""] * len(theirs)]
         rows += [[level, *row] for row in zip(names, *columns, lost, strict=True) if any(row[1:])]

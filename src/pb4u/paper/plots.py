@@ -69,13 +69,13 @@ def against_steps(summary: Summary) -> list[Block]:
     """
     protocol = summary.plan.protocol
     panels = [(quantity, level) for quantity in ("total", "ratio") for level in protocol.levels]
-    asked = [steps for steps in protocol.steps if steps is not None]
+    counts = [steps for steps in protocol.steps if steps is not None]
     titles = [f"{level}: {label(quantity)}" for quantity, level in panels]
     figure, axes = _panels(titles, len(protocol.levels), "propagation steps K")
     for axis, (quantity, level) in zip(axes, panels, strict=True):
         for index, model in enumerate(protocol.models):
-            cells, colour = [summary.cell(level, model, steps) for steps in asked], _colour(index, model)
-            _line(axis, asked, cells, quantity, model, colour)
+            cells, colour = [summary.cell(level, model, steps) for steps in counts], _colour(index, model)
+            _line(axis, counts, cells, quantity, model, colour)
             if fixed := summary.cell(level, model).quantities[quantity]:
                 axis.axhline(fixed.mean, linestyle="--", label=model, color=colour)
     caption = (
@@ -107,12 +107,12 @@ def _colour(index: int, model: str) -> str:
 
 def _line(axis: Any, x: Sequence[Any], cells: Sequence[Cell], quantity: str, model: str, colour: str) -> None:
     """Mean and deviation of cells; the total, which has any sign, is logarithmic beyond 1 J, and shares are linear."""
-    found = [(at, spread) for at, cell in zip(x, cells, strict=True) if (spread := cell.quantities[quantity])]
-    if not found:
+    points = [(at, spread) for at, cell in zip(x, cells, strict=True) if (spread := cell.quantities[quantity])]
+    if not points:
         return
-    means = [spread.mean for _, spread in found]
-    deviations = [spread.deviation for _, spread in found]
-    axis.errorbar([at for at, _ in found], means, deviations, label=model, color=colour, marker="o", capsize=2)
+    means = [spread.mean for _, spread in points]
+    deviations = [spread.deviation for _, spread in points]
+    axis.errorbar([at for at, _ in points], means, deviations, label=model, color=colour, marker="o", capsize=2)
     if quantity == "total":
         axis.set_yscale("symlog", linthresh=1.0)
     elif quantity == "survived_percent":

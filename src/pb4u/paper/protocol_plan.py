@@ -148,17 +148,17 @@ class _Planning:
             scenes=(request.scenes or protocol.scenes) if protocol.scenes else 0,
         )
         self.motions = [_motion(name, request.recordings) for name in self.protocol.motions]
-        _check_told_apart("garments", {given: WornGarment(given).name for given in self.protocol.garments})
-        _check_told_apart("motions", {str((each.source, each.seed)): each.label for each in self.motions})
+        _check_told_apart("garments", {name: WornGarment(name).name for name in self.protocol.garments})
+        _check_told_apart("motions", {str((motion.source, motion.seed)): motion.label for motion in self.motions})
         # As cases have them, by which pictures and the page name them.
-        self.protocol = replace(self.protocol, motions=tuple(each.label for each in self.motions))
+        self.protocol = replace(self.protocol, motions=tuple(motion.label for motion in self.motions))
         self.models, self.absent = self._present_models()
 
     def plan(self) -> Plan:
         if any(self.protocol.steps) and not any(model.adapts for model in self.models.values()):
-            told = " ".join(self.absent)
+            absent = " ".join(self.absent)
             raise InputError(
-                f"None of the models has propagation steps to vary; name a network with --models. {told}".strip()
+                f"None of the models has propagation steps to vary; name a network with --models. {absent}".strip()
             )
         cases = list(self._drawn() if self.protocol.scenes else self._combined())
         jobs = {case.job.key: case.job for case in cases}
@@ -218,7 +218,7 @@ class _Planning:
             seed = int(rng.integers(*DRAWN_SEEDS))
             motion = _Motion(motion.source, seed, f"{motion.source}-{seed}")
         body, level, material = (
-            str(rng.choice(each)) for each in (protocol.bodies, protocol.levels, protocol.materials)
+            str(rng.choice(choices)) for choices in (protocol.bodies, protocol.levels, protocol.materials)
         )
         parameters = getattr(load_body(body), "shape", {}) if body in body_names() else {}
         shape = {name: round(float(rng.uniform()), 2) for name in parameters}
@@ -243,16 +243,16 @@ class _Planning:
 
     def _options(self, model: str) -> dict[str, Any]:
         """The requested options that a model uses."""
-        asked = {"refine": self.request.refine, "contact": self.request.contact}
+        options = {"refine": self.request.refine, "contact": self.request.contact}
         if model == QuickSolver.name:
-            asked["refine"] = self.request.refine or REFINE
-        return {name: value for name, value in asked.items() if looks_at(model, name)}
+            options["refine"] = self.request.refine or REFINE
+        return {name: value for name, value in options.items() if looks_at(model, name)}
 
     def _present_models(self) -> tuple[dict[str, Model], tuple[str, ...]]:
         """The models to run by what tables call them, and a sentence on the protocol's own that have no weights yet."""
-        wanted = tuple(dict.fromkeys(self.request.models or self.protocol.models))
-        missing = () if self.request.models else tuple(name for name in wanted if name not in model_descriptions())
-        present = [name for name in wanted if name not in missing]
+        names = tuple(dict.fromkeys(self.request.models or self.protocol.models))
+        missing = () if self.request.models else tuple(name for name in names if name not in model_descriptions())
+        present = [name for name in names if name not in missing]
         labels = [weights_name(Path(name)) if Path(name).suffix else name for name in present]
         # Checkpoints are often all called best: then each goes by its path.
         labels = [name if labels.count(label) > 1 else label for name, label in zip(present, labels, strict=True)]
@@ -305,9 +305,9 @@ def _check_told_apart(kind: str, names: dict[str, str]) -> None:
 
 def _level(name: str) -> tuple[str, int]:
     """Name and number of triangles of a level."""
-    named = {key.lower(): (key, count) for key, count in LEVELS.items()}
-    if name.lower() in named:
-        return named[name.lower()]
+    levels = {key.lower(): (key, count) for key, count in LEVELS.items()}
+    if name.lower() in levels:
+        return levels[name.lower()]
     match = re.fullmatch(r"(\d+(?:\.\d+)?)([kK]?)", name.strip())
     if not match:
         raise InputError(f"There is no level {name!r}; give a number of triangles, or one of {', '.join(LEVELS)}.")
@@ -316,8 +316,8 @@ def _level(name: str) -> tuple[str, int]:
         raise InputError(
             f"A level has between {FEWEST_TRIANGLES} and {MOST_TRIANGLES} triangles; {name} has {triangles}."
         )
-    known = {count: key for key, count in LEVELS.items()}
-    return known.get(triangles, f"{triangles // 1000}K" if triangles % 1000 == 0 else str(triangles)), triangles
+    names = {count: key for key, count in LEVELS.items()}
+    return names.get(triangles, f"{triangles // 1000}K" if triangles % 1000 == 0 else str(triangles)), triangles
 
 
 def _motion(name: str, recordings: Path | None) -> _Motion:

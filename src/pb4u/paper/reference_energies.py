@@ -27,8 +27,8 @@ def stored_reference(scene: str, level: str, frames: int) -> dict[str, float] | 
         level: name of the resolution.
         frames: how many frames the mean is over.
     """
-    found = _references().get(f"{scene}@{level}", {}).get(str(frames))
-    return found["energies"] if found else None
+    record = _references().get(f"{scene}@{level}", {}).get(str(frames))
+    return record["energies"] if record else None
 
 
 def ratio(energies: Mapping[str, float], reached: Mapping[str, float]) -> float:

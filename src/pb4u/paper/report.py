@@ -100,11 +100,11 @@ def write_report(planned: Plan, folder: JobFolder, request: EvaluationRequest) -
 
 def _about(summary: Summary) -> Block:
     protocol = summary.plan.protocol
-    done = sum(row.result is not None for row in summary.rows)
+    count = sum(row.result is not None for row in summary.rows)
     where = f"{', '.join(protocol.garments)} on {', '.join(protocol.motions)} ({', '.join(protocol.bodies)})"
     lines = [
         protocol.reproduces,
-        f"{done} of {len(summary.rows)} rollouts are done: {where}, {protocol.frames} frames at levels "
+        f"{count} of {len(summary.rows)} rollouts are done: {where}, {protocol.frames} frames at levels "
         f"{', '.join(protocol.levels)}; what varies is {protocol.varied}.",
         *summary.plan.absent,
     ]

@@ -40,26 +40,26 @@ def robustness_table(summary: Summary) -> list[Block]:
     ]  # fmt: skip
     rows = []
     for model in summary.plan.protocol.models:
-        done = [row for row in summary.select(model=model) if row.result or row.failure]
-        inside = _finite(row.value("penetration_percent") for row in done)
-        crossings = _finite(row.value("self_intersections") for row in done)
-        ratios = _ratios(done)
+        cases = [row for row in summary.select(model=model) if row.result or row.failure]
+        inside = _finite(row.value("penetration_percent") for row in cases)
+        crossings = _finite(row.value("self_intersections") for row in cases)
+        ratios = _ratios(cases)
         rows.append(
             [
                 model,
-                f"{len(done)}",
-                _share(done, lambda row: row.diverged),
-                _share(done, lambda row: (row.result or {}).get("slid_at") is not None),
-                _share(done, lambda row: bool(row.faults)),
+                f"{len(cases)}",
+                _share(cases, lambda row: row.diverged),
+                _share(cases, lambda row: (row.result or {}).get("slid_at") is not None),
+                _share(cases, lambda row: bool(row.faults)),
                 _shown(ratios, statistics.median, ".2f"),
                 _shown(ratios, lambda values: float(np.percentile(values, 95)), ".2f"),
                 _shown(ratios, max, ".2f"),
                 _shown(inside, statistics.fmean, ".2g"),
                 _shown(inside, max, ".2g"),
-                _shown([1e3 * row.deepest for row in done if row.deepest is not None], max, ".1f"),
+                _shown([1e3 * row.deepest for row in cases if row.deepest is not None], max, ".1f"),
                 _shown(crossings, statistics.fmean, ".1f"),
                 _shown(crossings, max, ".0f"),
-                _shown(_finite(row.value("ms") for row in done), statistics.median, ".0f"),
+                _shown(_finite(row.value("ms") for row in cases), statistics.median, ".0f"),
             ]
         )
     return [Table("All scenes", _NOTE, head, rows)]
@@ -79,20 +79,20 @@ def parts_tables(summary: Summary) -> list[Block]:
         "level": lambda row: row.case.level,
     }
     tables: list[Block] = []
-    for part, named in parts.items():
+    for part, name_of in parts.items():
         groups: dict[str, list[Row]] = {}
         for row in summary.rows:
-            groups.setdefault(named(row), []).append(row)
+            groups.setdefault(name_of(row), []).append(row)
         if len(groups) < 2:
             continue
         rows = []
         for name, members in sorted(groups.items()):
             cells = []
             for model in models:
-                own = [row for row in members if row.model == model and (row.result or row.failure)]
-                ratios, failed = _ratios(own), sum(bool(row.faults) for row in own)
+                runs = [row for row in members if row.model == model and (row.result or row.failure)]
+                ratios, failed = _ratios(runs), sum(bool(row.faults) for row in runs)
                 cells.append(
-                    f"{_shown(ratios, statistics.median, '.2f')}, {_shown(ratios, max, '.2f')}; {failed} of {len(own)}"
+                    f"{_shown(ratios, statistics.median, '.2f')}, {_shown(ratios, max, '.2f')}; {failed} of {len(runs)}"
                 )
             rows.append([name, *cells])
         caption = "Energy over the reference, median and worst; failed rollouts."
@@ -135,17 +135,17 @@ def failure_pictures(summary: Summary) -> list[Block]:
         return [Remark(title, (str(error),))]
     if not shown:
         return []
-    left = f" {len(failed) - MOST_PICTURES} more are named above alone." if len(failed) > MOST_PICTURES else ""
-    return [Plot("failures", title, f"Number of the scene, model, and what went wrong.{left}", sheet(shown, _COLUMNS))]
+    more = f" {len(failed) - MOST_PICTURES} more are named above alone." if len(failed) > MOST_PICTURES else ""
+    return [Plot("failures", title, f"Number of the scene, model, and what went wrong.{more}", sheet(shown, _COLUMNS))]
 
 
 def _scene_words(row: Row) -> str:
     run, seed = row.case.job.run, row.case.seed
-    (worn,) = run.garments
+    (spec,) = run.garments
     seeded = "" if seed is None else f" --seed {seed}"
     shape = "".join(f" --body-shape {name}={value:g}" for name, value in run.body_shape.items())
     return (
-        f"--garment {worn.garment} --triangles {worn.triangles} --material {worn.material} --body {run.body}{shape} "
+        f"--garment {spec.garment} --triangles {spec.triangles} --material {spec.material} --body {run.body}{shape} "
         f"--motion {run.motion}{seeded} --frames {run.frames} --lead-in {run.led_frames}"
     )
 

@@ -164,10 +164,10 @@ class Row:
         """Excess heights on the shared states [m]; infinite where a step was not finite, or none measured."""
         if self.result is None:
             return []
-        found = self.result["metrics"].get("excess_height", {}).get("per_frame", [])
-        if not found and self.case.job.excess and self.result["frames"] == 0:
+        heights = self.result["metrics"].get("excess_height", {}).get("per_frame", [])
+        if not heights and self.case.job.excess and self.result["frames"] == 0:
             return [math.inf]
-        return [math.inf if height is None else height for height in found]
+        return [math.inf if height is None else height for height in heights]
 
     @property
     def faults(self) -> list[str]:
@@ -178,16 +178,16 @@ class Row:
             return []
         if self.diverged:
             return [f"diverged in frame {self.result['diverged_at']}"]
-        found = []
+        faults = []
         if self.result.get("slid_at") is not None:
             shift = 100.0 * self.result["hold_shift"]["max"]
-            found.append(f"slid from frame {self.result['slid_at']}, {shift:.0f} cm")
+            faults.append(f"slid from frame {self.result['slid_at']}, {shift:.0f} cm")
         inside = self.value("penetration_percent")
         if inside is not None and inside > MOST_INSIDE:
-            found.append(f"{inside:.1f} % of vertices inside the body")
+            faults.append(f"{inside:.1f} % of vertices inside the body")
         if self.ratio is not None and self.ratio > FAR_FROM_FLOOR:
-            found.append(f"{self.ratio:.1f} times the reference energy")
-        return found
+            faults.append(f"{self.ratio:.1f} times the reference energy")
+        return faults
 
     @property
     def survived_percent(self) -> float | None:
@@ -295,17 +295,17 @@ class Summary:
     @cached_property
     def columns(self) -> dict[str, tuple[str, int | None]]:
         """Name -> model, and the number of propagation steps asked for, of what is compared, in the models' order."""
-        found = dict.fromkeys((row.model, row.coordinates["steps"]) for row in self.rows)
-        ordered = sorted(found, key=lambda each: self.plan.protocol.models.index(each[0]))
+        columns = dict.fromkeys((row.model, row.coordinates["steps"]) for row in self.rows)
+        ordered = sorted(columns, key=lambda column: self.plan.protocol.models.index(column[0]))
         return {model if steps is None else f"{model}, K {steps}": (model, steps) for model, steps in ordered}
 
-    def select(self, **wanted: object) -> list[Row]:
-        """Rows whose coordinates have the wanted values.
+    def select(self, **coordinates: object) -> list[Row]:
+        """Rows whose coordinates have these values.
 
         Args:
-            **wanted: value by name of the coordinate: level, model, garment, body, motion, seed or steps.
+            **coordinates: value by name of the coordinate: level, model, garment, body, motion, seed or steps.
         """
-        return [row for row in self.rows if wanted.items() <= row.coordinates.items()]
+        return [row for row in self.rows if coordinates.items() <= row.coordinates.items()]
 
     def cell(self, level: str, model: str, steps: int | None = None) -> Cell:
         """The cell of a model at a level.
@@ -334,7 +334,7 @@ class Summary:
     def cells(self) -> list[Cell]:
         """Cells of the run, all of them."""
         at = dict.fromkeys(tuple(row.coordinates[name] for name in ("level", "model", "steps")) for row in self.rows)
-        return [self.cell(*each) for each in at]
+        return [self.cell(*place) for place in at]
 
     def as_json(self) -> dict[str, Any]:
         """Rows and cells as JSON."""
@@ -358,8 +358,8 @@ def summarise(plan: Plan, folder: JobFolder) -> Summary:
         above = ratio(_energies(result), reached) if result and complete and reached else None
         finite = above is not None and math.isfinite(above)
         rows.append(Row(case, result, failures.get(case.job.key), above if finite else None, source))
-    told = tuple((str(job), failure.sentence) for job in plan.jobs if (failure := failures.get(job.key)))
-    return Summary(plan, tuple(rows), told, folder.trajectory)
+    sentences = tuple((str(job), failure.sentence) for job in plan.jobs if (failure := failures.get(job.key)))
+    return Summary(plan, tuple(rows), sentences, folder.trajectory)
 
 
 def _reference_energies(case: Case, results: dict[str, dict[str, Any] | None]) -> tuple[dict[str, float] | None, str]:

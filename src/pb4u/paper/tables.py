@@ -63,16 +63,16 @@ def caveats(quantity: str, rows: list[Row]) -> str:
         quantity: its name.
         rows: the rollouts.
     """
-    told = []
+    remarks = []
     if quantity == "excess_height":
         heights = [height for row in rows for height in row.heights]
         if bad := sum(map(math.isinf, heights)):
-            told.append(f"{bad} of {len(heights)} steps not finite")
+            remarks.append(f"{bad} of {len(heights)} steps not finite")
         if lost := sum(row.broke_off and not (row.result or {})["frames"] for row in rows):
-            told.append(f"{lost} of {len(rows)} rollouts lost in the lead-in")
+            remarks.append(f"{lost} of {len(rows)} rollouts lost in the lead-in")
     elif quantity == "distance_to_reference" and (broke_off := sum(row.broke_off for row in rows)):
-        told.append(f"{broke_off} of {len(rows)} broke off")
-    return f" ({', '.join(told)})" if told else ""
+        remarks.append(f"{broke_off} of {len(rows)} broke off")
+    return f" ({', '.join(remarks)})" if remarks else ""
 
 
 _BESIDE = ("ratio", "survived_percent", "strain_p95", "penetration_percent", "visible_skin_percent")
@@ -84,11 +84,11 @@ def _columns(summary: Summary, level: str, quantities: Sequence[str]) -> dict[st
     columns = {}
     for name, (model, steps) in summary.columns.items():
         cell, rows = summary.cell(level, model, steps), summary.select(level=level, model=model, steps=steps)
-        values = [with_spread(each, cell.quantities[each]) + caveats(each, rows) for each in quantities]
+        values = [with_spread(name, cell.quantities[name]) + caveats(name, rows) for name in quantities]
         missing = f", {cell.scenes - cell.done} missing" if cell.done < cell.scenes else ""
         columns[name] = [*values, share_text(cell.diverged, cell.done), f"{cell.done}{missing}"]
     for model, theirs in paper_figures(summary.plan.protocol.name, level).items():
-        values = [number(each, theirs[each]) if each in theirs else "" for each in quantities]
+        values = [number(name, theirs[name]) if name in theirs else "" for name in quantities]
         columns[f"{model} ({PAPER_MARK})"] = [*values, *[""] * len(_COUNTS)]
     return columns
 
@@ -152,21 +152,21 @@ def controls_tables(summary: Summary) -> list[Block]:
     ]  # fmt: skip
     rows, parts = [], []
     for name, (model, steps) in summary.columns.items():
-        done = [row for row in summary.select(model=model, steps=steps) if row.result]
-        states = [1e3 * height for row in done for height in row.heights]
-        below = sum(_excess(row).get("below_reference", 0) for row in done)
+        cases = [row for row in summary.select(model=model, steps=steps) if row.result]
+        states = [1e3 * height for row in cases for height in row.heights]
+        below = sum(_excess(row).get("below_reference", 0) for row in cases)
         rows.append(
             [
-                name, f"{len(done)}", _median(states) + caveats("excess_height", done),
-                _mean_of(done, "distance_to_reference") + caveats("distance_to_reference", done),
-                *(_mean_of(done, quantity) for quantity in ("visible_skin_percent", "self_intersections")),
-                _mean_of(done, "ratio"),
-                share_text(sum(row.diverged for row in done), len(done)), _mean_of(done, "ms"),
+                name, f"{len(cases)}", _median(states) + caveats("excess_height", cases),
+                _mean_of(cases, "distance_to_reference") + caveats("distance_to_reference", cases),
+                *(_mean_of(cases, quantity) for quantity in ("visible_skin_percent", "self_intersections")),
+                _mean_of(cases, "ratio"),
+                share_text(sum(row.diverged for row in cases), len(cases)), _mean_of(cases, "ms"),
                 f"{below} of {len(states)}",
             ]
         )  # fmt: skip
-        named = [[row for row in done if row.case.garment == garment] for garment in garments]
-        parts.append([name, *(_median([1e3 * height for row in own for height in row.heights]) for own in named)])
+        groups = [[row for row in cases if row.case.garment == garment] for garment in garments]
+        parts.append([name, *(_median([1e3 * height for row in group for height in row.heights]) for group in groups)])
     return [
         Table("All scenes", _CONTROLS_NOTE, head, rows),
         Table("By garment", "Excess height [mm], median over states.", ["model", *garments], parts),
@@ -174,8 +174,8 @@ def controls_tables(summary: Summary) -> list[Block]:
 
 
 def _excess(row: Row) -> dict[str, Any]:
-    found: dict[str, Any] = (row.result or {}).get("metrics", {}).get("excess_height", {})
-    return found
+    measures: dict[str, Any] = (row.result or {}).get("metrics", {}).get("excess_height", {})
+    return measures
 
 
 def _median(values: list[float]) -> str:

@@ -106,8 +106,8 @@ def trunk_girths(body: ShapedBody, **levels: float) -> dict[str, tuple[float, fl
         **levels: heights of those others [m].
     """
     tape = _Tape(body)
-    named = {name: getattr(tape, name) for name in ("bust", "waist", "hips")} | levels
-    return {name: (level, tape.girth(level)) for name, level in named.items()}
+    heights = {name: getattr(tape, name) for name in ("bust", "waist", "hips")} | levels
+    return {name: (level, tape.girth(level)) for name, level in heights.items()}
 
 
 class _Tape:

@@ -77,8 +77,8 @@ class Draft:
                 panel, np.array([edge[1] for edge in edges]), position, axes.as_matrix(),
                 {k: Curve(np.array(edge[2:])) for k, edge in enumerate(edges) if edge[2:]}, label,
             )  # fmt: skip
-            for k, (edge, own) in enumerate(zip(edges, sides, strict=True)):
-                self._edges[f"{name}.{edge[0]}", own] = panel, k
+            for k, (edge, sign) in enumerate(zip(edges, sides, strict=True)):
+                self._edges[f"{name}.{edge[0]}", sign] = panel, k
 
     def length(self, *edges: str) -> float:
         """Length [m] of edges of one side together.
@@ -86,7 +86,7 @@ class Draft:
         Args:
             edges: their names.
         """
-        return sum(float(self._panels[panel].edge_lengths[k]) for panel, k in (self._edges[each, 1] for each in edges))
+        return sum(float(self._panels[panel].edge_lengths[k]) for panel, k in (self._edges[edge, 1] for edge in edges))
 
     def sew(self, *pairs: tuple[str, str]) -> None:
         """Sew edges together on both sides; an edge to itself is sewn to its mirror image.
@@ -106,8 +106,8 @@ class Draft:
         return Pattern(self.name, list(self._panels.values()), self._seams)
 
     def _ends(self, panel: str, edge: int) -> np.ndarray:
-        own = self._panels[panel]
-        return own.placed(own.corners[[edge, (edge + 1) % own.edge_count]])
+        cut_panel = self._panels[panel]
+        return cut_panel.placed(cut_panel.corners[[edge, (edge + 1) % cut_panel.edge_count]])
 
 
 def arc(radius: float, start: float, end: float) -> tuple[Point, Point, Point]:

@@ -75,7 +75,7 @@ class Dressed:
         pattern = self.mesh.pattern
         lengths = np.array([pattern.seam_lengths(seam) for seam in pattern.seams]).reshape(-1, 2)
         sewn = self.mesh.seam_lengths
-        off = np.bincount(self.mesh.face_panel, self.garment.face_areas) / [abs(each.area) for each in pattern.panels]
+        off = np.bincount(self.mesh.face_panel, self.garment.face_areas) / [abs(panel.area) for panel in pattern.panels]
         return {
             "garment": pattern.name,
             "panels": len(pattern.panels),

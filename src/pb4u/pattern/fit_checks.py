@@ -63,13 +63,13 @@ def refuse_narrow(mesh: PatternMesh, body: ShapedBody, placed: np.ndarray) -> No
     """
     form, pattern = form_of(body), mesh.pattern
     trunk = [k for k, panel in enumerate(pattern.panels) if panel.label != "arm"]
-    own = [placed[mesh.panel == k] for k in trunk]
-    low, high = (np.array([end(points[:, 1]) for points in own]) for end in (np.min, np.max))
-    widths = np.array([np.hypot(*np.ptp(points[:, [0, 2]], axis=0)) for points in own])
+    clouds = [placed[mesh.panel == k] for k in trunk]
+    low, high = (np.array([end(points[:, 1]) for points in clouds]) for end in (np.min, np.max))
+    widths = np.array([np.hypot(*np.ptp(points[:, [0, 2]], axis=0)) for points in clouds])
     levels = np.linspace(form.crotch, form.neck[1], 64)[:, None]
     widest = float((widths * ((low <= levels) & (levels <= high))).sum(axis=1).max(initial=0.0))
     waist = trunk_girths(body)["waist"][1]
-    if len(own) and high.max() < form.crotch:
+    if len(clouds) and high.max() < form.crotch:
         raise InputError(
             f"{pattern.name} lies too low for {body.name}: its highest panel, "
             f"{pattern.panels[trunk[high.argmax()]].name}, ends {100 * high.max():.0f} cm above the floor, and the "
@@ -124,10 +124,10 @@ def refuse_tight(mesh: PatternMesh, body: ShapedBody, places: np.ndarray, mean: 
         return
     levels = places[mesh.sewn_faces, 1].mean(axis=1)
     sleeve = np.array([panel.label == "arm" for panel in panels])[mesh.face_panel]
-    differ, own = "", {}
+    differ, level = "", {}
     if panels[worst].label != "arm":
-        own = {panels[worst].name: float(levels[mesh.face_panel == worst].mean())}
-    for name, (height, girth) in trunk_girths(body, **own).items():
+        level = {panels[worst].name: float(levels[mesh.face_panel == worst].mean())}
+    for name, (height, girth) in trunk_girths(body, **level).items():
         around = strains[(np.abs(levels - height) < _SLICE) & ~sleeve]
         if len(around) and around.mean() > 0.5 * _TIGHT:
             differ += f"; {name}: {100 * girth:.0f} cm, cut for about {100 * girth / (1.0 + around.mean()):.0f}"

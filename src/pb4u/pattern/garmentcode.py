@@ -56,8 +56,8 @@ def pattern_of(record: dict[str, Any], name: str) -> Pattern:
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        told = f"has no {error}" if isinstance(error, KeyError) else f"is not as GarmentCode writes it ({error})"
-        raise InputError(f"{name}: {reader.where} {told}.") from None
+        fault = f"has no {error}" if isinstance(error, KeyError) else f"is not as GarmentCode writes it ({error})"
+        raise InputError(f"{name}: {reader.where} {fault}.") from None
 
 
 def record_of(pattern: Pattern) -> dict[str, Any]:

@@ -69,7 +69,7 @@ class PatternMesh:
     def uvs(self) -> np.ndarray:
         """Texture coordinates (points, 2) in [0, 1]: the panels laid out side by side, all at one scale."""
         rows = [self.points[self.panel == number] for number in range(len(self.pattern.panels))]
-        moves, side = laid_out([(own.min(axis=0), own.max(axis=0)) for own in rows])
+        moves, side = laid_out([(cloud.min(axis=0), cloud.max(axis=0)) for cloud in rows])
         return (self.points + moves[self.panel]) / side
 
     @cached_property
@@ -83,8 +83,8 @@ class PatternMesh:
         """Places (points, 3) [m] of the points around the body, their seams open."""
         placed = np.empty((len(self.points), 3))
         for number, panel in enumerate(self.pattern.panels):
-            own = self.panel == number
-            placed[own] = panel.placed(self.points[own])
+            rows = self.panel == number
+            placed[rows] = panel.placed(self.points[rows])
         return placed
 
     def sewn(self, places: np.ndarray) -> np.ndarray:
@@ -114,12 +114,12 @@ def mesh_pattern(pattern: Pattern, triangles: int) -> PatternMesh:
     length = 0.985 * float(np.sqrt(4.0 / np.sqrt(3.0) * pattern.area / triangles))
     tries = []
     for _ in range(_TRIES):
-        tries.append(made := _meshed(pattern, length))
-        ratio = len(made.faces) / triangles
+        tries.append(mesh := _meshed(pattern, length))
+        ratio = len(mesh.faces) / triangles
         if abs(ratio - 1.0) <= _COUNT_TOLERANCE:
             break
         length *= float(np.clip(np.sqrt(ratio), 0.7, 1.4))
-    return min(tries, key=lambda made: abs(len(made.faces) - triangles))
+    return min(tries, key=lambda mesh: abs(len(mesh.faces) - triangles))
 
 
 def _meshed(pattern: Pattern, length: float) -> PatternMesh:
@@ -131,12 +131,12 @@ def _meshed(pattern: Pattern, length: float) -> PatternMesh:
             segments[pattern.index[name]][edge] = mean
     points, faces, starts, total = [], [], [], 0
     for panel, counts in zip(pattern.panels, segments, strict=True):
-        own, triangles = _in_loop(panel, counts, length)
+        panel_points, triangles = _in_loop(panel, counts, length)
         starts.append(total + np.append(0, np.cumsum(counts)))
-        points.append(own)
+        points.append(panel_points)
         faces.append(triangles + total)
-        total += len(own)
-    panel_of = np.repeat(np.arange(len(points)), [len(own) for own in points])
+        total += len(panel_points)
+    panel_of = np.repeat(np.arange(len(points)), [len(rows) for rows in points])
     sides = tuple(_sides(pattern, seam, starts) for seam in pattern.seams)
     return _welded(pattern, np.concatenate(points), panel_of, np.concatenate(faces), sides)
 
@@ -167,9 +167,9 @@ def _in_loop(panel: Panel, counts: np.ndarray, length: float) -> tuple[np.ndarra
 def _sides(pattern: Pattern, seam: Seam, starts: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     sides = []
     for name, edge in (seam.first, seam.second):
-        own = starts[pattern.index[name]]
-        side = np.arange(own[edge], own[edge + 1] + 1)
-        side[-1] = own[0] if edge == len(own) - 2 else side[-1]
+        border = starts[pattern.index[name]]
+        side = np.arange(border[edge], border[edge + 1] + 1)
+        side[-1] = border[0] if edge == len(border) - 2 else side[-1]
         sides.append(side)
     return sides[0], sides[1] if seam.same_way else sides[1][::-1]
 
@@ -185,10 +185,10 @@ def _welded(pattern: Pattern, points: np.ndarray, panel: np.ndarray, faces: np.n
         order = np.unique(vertex, return_index=True)[1]
         renamed = np.empty(len(order), dtype=np.int64)
         renamed[np.argsort(order)] = np.arange(len(order))
-        made = PatternMesh(pattern, points, panel, faces, renamed[vertex].astype(np.int64), sides)
-        crowded = _crowded(made)
+        mesh = PatternMesh(pattern, points, panel, faces, renamed[vertex].astype(np.int64), sides)
+        crowded = _crowded(mesh)
         if not len(crowded):
-            return made
+            return mesh
         points, panel, faces = _split(points, panel, faces, crowded)
     raise InputError(f"{pattern.name} cannot be sewn with so few triangles; ask for more.")
 

@@ -180,8 +180,8 @@ class Panel:
         crossing = first_crossing(loop)
         if crossing is not None:
             one, other = sorted(edge[k] for k in crossing)
-            told = f"edge {one} crosses itself" if one == other else f"edges {one} and {other} cross"
-            raise InputError(f"Panel {self.name}: {told}; a panel is one piece of cloth within a loop of edges.")
+            fault = f"edge {one} crosses itself" if one == other else f"edges {one} and {other} cross"
+            raise InputError(f"Panel {self.name}: {fault}; a panel is one piece of cloth within a loop of edges.")
         if abs(self.area) < 1e-6:
             raise InputError(f"Panel {self.name} has an area of {1e4 * abs(self.area):.2g} cm^2, which is no cloth.")
 
@@ -334,8 +334,8 @@ class Pattern:
         part = list(range(len(self.panels)))
         for seam in self.seams:
             one, other = part[self.index[seam.first[0]]], part[self.index[seam.second[0]]]
-            part = [one if each == other else each for each in part]
-        if loose := [panel.name for panel, each in zip(self.panels, part, strict=True) if each != part[0]]:
+            part = [one if number == other else number for number in part]
+        if loose := [panel.name for panel, number in zip(self.panels, part, strict=True) if number != part[0]]:
             raise InputError(
                 f"{self.name} is in {len(set(part))} parts: no seam joins {loose[0]} to {self.panels[0].name}; wear "
                 "the parts as garments of their own."

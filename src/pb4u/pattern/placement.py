@@ -54,10 +54,10 @@ def joined(mesh: PatternMesh) -> np.ndarray:
         mesh: the panels.
     """
     places, count = mesh.placed, len(mesh.pattern.panels)
-    own = [mesh.panel == panel for panel in range(count)]
-    tops = np.array([places[rows, 1].max() for rows in own])
-    middles = np.array([places[rows, 0].mean() for rows in own])
-    matrix, wanted = np.diag(np.exp((tops - tops.max() - np.abs(middles)) / _REACH) + 1e-6), np.zeros((count, 2))
+    masks = [mesh.panel == panel for panel in range(count)]
+    tops = np.array([places[rows, 1].max() for rows in masks])
+    middles = np.array([places[rows, 0].mean() for rows in masks])
+    matrix, target = np.diag(np.exp((tops - tops.max() - np.abs(middles)) / _REACH) + 1e-6), np.zeros((count, 2))
     for seam, sides in zip(mesh.pattern.seams, mesh.sides, strict=True):
         one, other = (mesh.panel[side[0]] for side in sides)
         weight = sum(mesh.pattern.seam_lengths(seam))
@@ -65,8 +65,8 @@ def joined(mesh: PatternMesh) -> np.ndarray:
         for a, b, sign in ((one, other, -1.0), (other, one, 1.0)):
             matrix[a, a] += weight
             matrix[a, b] -= weight
-            wanted[a] += sign * weight * gap
-    shifts = np.linalg.solve(matrix, wanted)
+            target[a] += sign * weight * gap
+    shifts = np.linalg.solve(matrix, target)
     # Legs would be drawn into each other, and are wide enough where they are.
     shifts[:, 0] = np.where(shifts[:, 0] * middles > 0.0, shifts[:, 0], 0.0)
     places[:, :2] += shifts[mesh.panel]
@@ -81,12 +81,12 @@ def shoulder_point(mesh: PatternMesh, places: np.ndarray) -> int | None:
         places: (points, 3) of the panels [m].
     """
     facing = np.array([panel.rotation[2, 2] * panel.area for panel in mesh.pattern.panels])
-    found: list[int] = []
+    candidates: list[int] = []
     for one, other in mesh.sides:
         run = np.abs(places[one[-1]] - places[one[0]])
         if facing[mesh.panel[one[0]]] * facing[mesh.panel[other[0]]] < 0.0 and run[0] > run[1]:
-            found += [*one.tolist(), *other.tolist()]
-    return max(found, key=lambda point: places[point, 1], default=None)
+            candidates += [*one.tolist(), *other.tolist()]
+    return max(candidates, key=lambda point: places[point, 1], default=None)
 
 
 def crotch_height(mesh: PatternMesh, places: np.ndarray) -> float | None:
@@ -112,9 +112,9 @@ def off_body(mesh: PatternMesh, places: np.ndarray, body: np.ndarray) -> np.ndar
     places = places.copy()
     for number, panel in enumerate(mesh.pattern.panels):
         outwards = panel.rotation[:, 2] * np.sign(panel.area)
-        own = mesh.panel == number
+        rows = mesh.panel == number
         ahead = _over(body, places, mesh.faces[mesh.face_panel == number], panel.rotation) @ outwards
-        places[own] += max(0.0, ahead.max(initial=-np.inf) + _AHEAD - places[own][0] @ outwards) * outwards
+        places[rows] += max(0.0, ahead.max(initial=-np.inf) + _AHEAD - places[rows][0] @ outwards) * outwards
     return places
 
 

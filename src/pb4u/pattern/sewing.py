@@ -103,13 +103,13 @@ def carried(source: PatternMesh, places: np.ndarray, target: PatternMesh) -> np.
     Returns:
         (vertices, 3) of its garment [m].
     """
-    moved = np.empty((len(target.points), 3))
+    result = np.empty((len(target.points), 3))
     flat = [np.column_stack([mesh.points, np.zeros(len(mesh.points))]) for mesh in (source, target)]
     for panel in range(len(source.pattern.panels)):
-        faces, own = source.faces[source.face_panel == panel], np.flatnonzero(target.panel == panel)
-        face, shares = nearest_places(flat[1][own], flat[0], faces)
-        moved[own] = np.einsum("pc,pcx->px", shares, places[source.vertex[faces[face]]])
-    return target.sewn(moved)
+        faces, points = source.faces[source.face_panel == panel], np.flatnonzero(target.panel == panel)
+        face, shares = nearest_places(flat[1][points], flat[0], faces)
+        result[points] = np.einsum("pc,pcx->px", shares, places[source.vertex[faces[face]]])
+    return target.sewn(result)
 
 
 def turned_over(mesh: PatternMesh, places: np.ndarray) -> np.ndarray:
@@ -125,12 +125,12 @@ def turned_over(mesh: PatternMesh, places: np.ndarray) -> np.ndarray:
         return places
     fold, turned = falls & np.isin(mesh.vertex, mesh.vertex[~falls]), places.copy()
     for panel in np.unique(mesh.panel[fold]):
-        own, along = np.flatnonzero(mesh.panel == panel), np.flatnonzero(fold & (mesh.panel == panel))
-        far = cKDTree(mesh.points[along]).query(mesh.points[own])[0][:, None]
-        out = (places[mesh.vertex[own]] - places[mesh.vertex[fold]].mean(axis=0)) * (1.0 - np.array(UP))
+        rows, along = np.flatnonzero(mesh.panel == panel), np.flatnonzero(fold & (mesh.panel == panel))
+        far = cKDTree(mesh.points[along]).query(mesh.points[rows])[0][:, None]
+        out = (places[mesh.vertex[rows]] - places[mesh.vertex[fold]].mean(axis=0)) * (1.0 - np.array(UP))
         out /= np.linalg.norm(out, axis=1, keepdims=True)
         slope = np.radians(40.0 + 30.0 * np.maximum(out[:, 2:], 0.0))
-        turned[mesh.vertex[own]] = places[mesh.vertex[own]] + far * (
+        turned[mesh.vertex[rows]] = places[mesh.vertex[rows]] + far * (
             np.cos(slope) * out - (1.0 + np.sin(slope)) * np.array(UP)
         )
     loose = np.setdiff1d(mesh.vertex[falls], mesh.vertex[~falls])
@@ -178,14 +178,14 @@ class Sewing:
         """Places (points, 3) [m] of the panels around this body."""
         return around(self.mesh, self.body)
 
-    def pose(self, share: float, done: float) -> ColliderPose:
+    def pose(self, share: float, blend: float) -> ColliderPose:
         """The whole body, hands included, thin or grown as in `SewingBody.between`.
 
         Args:
             share: of its girth with which it begins.
-            done: share of the way to its size.
+            blend: share of the way to its size.
         """
-        return self.whole.pose(torch.from_numpy(self.thin_body.between(share, done)))
+        return self.whole.pose(torch.from_numpy(self.thin_body.between(share, blend)))
 
     @cached_property
     def rest_pose(self) -> ColliderPose:
@@ -212,8 +212,8 @@ class Sewing:
         for part in range(parts):
             poses = self.pose(share, part / parts), self.pose(share, (part + 1) / parts)
             x = self.step(packed, x, solver, self.smooth, poses)
-        own = self.garment(turned_over(self.mesh, x.numpy()))
-        packed, x = pack([own]), torch.from_numpy(untangled_start([own], own.vertices))
+        flapped = self.garment(turned_over(self.mesh, x.numpy()))
+        packed, x = pack([flapped]), torch.from_numpy(untangled_start([flapped], flapped.vertices))
         return self.step(packed, x, solver, self.smooth, (poses[1], poses[1])).numpy()
 
     def clear_start(self, places: np.ndarray) -> tuple[np.ndarray, float]:
@@ -228,10 +228,10 @@ class Sewing:
             assert surface is not None
             for lift in _LIFTS:
                 raised = places + lift * np.array(UP)
-                found = surface.nearest(
+                contact = surface.nearest(
                     torch.from_numpy(np.concatenate([raised, raised[self.mesh.sewn_faces].mean(1)]))
                 )
-                if not bool(((found.signed_distance < -_SHALLOW) & ~found.beyond_border).any()):
+                if not bool(((contact.signed_distance < -_SHALLOW) & ~contact.beyond_border).any()):
                     return raised, share
         return raised, share
 
@@ -256,8 +256,8 @@ class Sewing:
         """
         garment = self.garment(places)
         support = find_support(places, garment.faces, self.rest_body)
-        held = garment if support.held is None else garment.with_pins(support.held)
-        packed, x = pack([held]), torch.from_numpy(places)
+        hanging_garment = garment if support.held is None else garment.with_pins(support.held)
+        packed, x = pack([hanging_garment]), torch.from_numpy(places)
         solver = Solver(tolerance=0.05, max_iterations=_ITERATIONS)
         for _ in range(most):
             before, x = x, self.step(packed, x, solver, self.potential, (self.rest_pose, self.rest_pose), hangs=True)
@@ -291,10 +291,10 @@ class Sewing:
         collider, dt = ColliderFrame(before, before, after), _HANGING_DT if hangs else _SEWING_DT
         # Cloth near the skin goes with it, or a wrist that bends would come through a cuff between its vertices.
         near = nearest_planes(before, packed, x, within=_NEAR)
-        moved = near.interpolated(collider.motion, self.whole.contact_faces) if before is not after else 0.0 * x
+        moves = near.interpolated(collider.motion, self.whole.contact_faces) if before is not after else 0.0 * x
         share = torch.where(near.touchable, 1.0 - near.distance.abs() / _NEAR, 0.0).clamp(0.0, 1.0)
         around = Environment(Environment.gravity if hangs else (0.0, 0.0, 0.0), ground=None)
-        state = State(x, share[:, None] * moved / dt, 0)
+        state = State(x, share[:, None] * moves / dt, 0)
         step = TimeStep(packed, state, collider, dt, around, pin_positions=x)
         with without_library_threads():
             state, _ = implicit_steps(potential, solver, step, _ITERATIONS)
@@ -309,8 +309,8 @@ class Sewing:
         surface = self.rest_pose.surfaces[0]
         if surface is None:
             return 0.0
-        found = surface.nearest(x)
-        return max(0.0, -float(torch.where(found.beyond_border, 0.0, found.signed_distance).min()))
+        contact = surface.nearest(x)
+        return max(0.0, -float(torch.where(contact.beyond_border, 0.0, contact.signed_distance).min()))
 
 
 def softened(packed: PackedGarments, softness: float) -> PackedGarments:

@@ -141,10 +141,10 @@ def _reversed(curve: Curve) -> Curve:
     return Curve(curve.controls[::-1], curve.radius, curve.large, not curve.counter_clockwise)
 
 
-def _outlines(path: Path, wanted: Collection[str]) -> dict[str, list[Any]]:
+def _outlines(path: Path, labels: Collection[str]) -> dict[str, list[Any]]:
     """Segments [user units] of the paths of an SVG by their ids, or the labels that Inkscape shows.
 
-    Each of the `wanted` names may be that of one path alone.
+    Each of the `labels` names may be that of one path alone.
     """
     with extra("svg", "Reading a pattern drawn in an SVG"):
         from svgelements import SVG, Matrix, Path as Outline, Shape
@@ -166,7 +166,7 @@ def _outlines(path: Path, wanted: Collection[str]) -> dict[str, list[Any]]:
         outlines = [list(abs(Outline(shape) * scale)) for shape in shapes]
     except (ValueError, TypeError, SyntaxError, IndexError, KeyError, AttributeError, ZeroDivisionError) as error:
         raise InputError(f"{path} cannot be read as SVG: {error}.") from None
-    if repeated := next((name for name in wanted if names.count(name) > 1), None):
+    if repeated := next((name for name in labels if names.count(name) > 1), None):
         raise InputError(f"{path} has two paths called {repeated}; give each a name of its own.")
     return dict(zip(names, outlines, strict=True))
 

@@ -40,14 +40,14 @@ class SewingBody:
         """
         return self._lines + share * (self._straight - self._lines)
 
-    def between(self, share: float, done: float) -> np.ndarray:
-        """Vertices (vertices, 3) [m] a part `done`, 0 to 1, of the way from `thin` at a `share` to the body at rest.
+    def between(self, share: float, blend: float) -> np.ndarray:
+        """Vertices (vertices, 3) [m] a part `blend`, 0 to 1, of the way from `thin` at a `share` to the body at rest.
 
         Args:
             share: of the girth, 0 to 1.
-            done: part of the way, 0 to 1.
+            blend: part of the way, 0 to 1.
         """
-        return (1.0 - done) * self.thin(share) + done * self.rest
+        return (1.0 - blend) * self.thin(share) + blend * self.rest
 
 
 def _straight_arms(body: ShapedBody, sleeves: np.ndarray) -> PoseSequence:
@@ -55,17 +55,17 @@ def _straight_arms(body: ShapedBody, sleeves: np.ndarray) -> PoseSequence:
     skeleton = body.skeleton
     rotations = np.tile([1.0, 0.0, 0.0, 0.0], (skeleton.bone_count, 1))
     for arm in form_of(body).arms:
-        shoulder, wanted = arm.joints[0], (arm.joints[2] - arm.joints[0])[:2]
+        shoulder, direction = arm.joints[0], (arm.joints[2] - arm.joints[0])[:2]
         if len(sleeves):
             # Through the middle of the sleeve's end.
             ways = sleeves[:, :2] * (arm.side, 1.0) - shoulder[:2]
             lengths = np.hypot(*ways.T)
-            wanted = ways[lengths >= np.quantile(lengths, _END)].mean(axis=0)
-        wanted = np.append(wanted / np.hypot(*wanted), 0.0)
+            direction = ways[lengths >= np.quantile(lengths, _END)].mean(axis=0)
+        direction = np.append(direction / np.hypot(*direction), 0.0)
         # From the shoulder on; what comes later in the chain overrides.
         for joint, way in _parts(body, arm):
             first = int(np.linalg.norm(skeleton.joints - joint, axis=1).argmin())
-            rotations[branch(skeleton.parents, (first,))] = between(way / np.linalg.norm(way), wanted)
+            rotations[branch(skeleton.parents, (first,))] = between(way / np.linalg.norm(way), direction)
     return PoseSequence(rotations[None], skeleton.joints[None, 0], 30.0)
 
 
@@ -85,10 +85,10 @@ def bone_lines(body: ShapedBody) -> np.ndarray:
     skeleton, mixed = body.skeleton, np.zeros_like(body.vertices)
     for bone in range(skeleton.bone_count):
         share = np.where(body.weights.bones == bone, body.weights.weights, 0.0).sum(axis=1)
-        own = np.flatnonzero(share > 0.0)
-        if not len(own):
+        skin = np.flatnonzero(share > 0.0)
+        if not len(skin):
             continue
-        points, start = body.vertices[own], skeleton.joints[bone]
+        points, start = body.vertices[skin], skeleton.joints[bone]
         nearest = np.broadcast_to(start, points.shape).copy()
         for child in np.flatnonzero(skeleton.parents == bone):
             way = skeleton.joints[child] - start
@@ -96,5 +96,5 @@ def bone_lines(body: ShapedBody) -> np.ndarray:
             on_bone = start + along[:, None] * way
             closer = np.linalg.norm(points - on_bone, axis=1) < np.linalg.norm(points - nearest, axis=1)
             nearest[closer] = on_bone[closer]
-        mixed[own] += share[own, None] * nearest
+        mixed[skin] += share[skin, None] * nearest
     return mixed

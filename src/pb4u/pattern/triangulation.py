@@ -70,11 +70,11 @@ def _relaxed(points: np.ndarray, faces: np.ndarray, fixed: int) -> np.ndarray:
     ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     sums, counts = np.zeros_like(points), np.bincount(ends[:, 0], minlength=len(points))
     np.add.at(sums, ends[:, 0], points[ends[:, 1]])
-    moved = points.copy()
-    moved[fixed:] = np.where(
-        counts[fixed:, None] > 0, sums[fixed:] / np.maximum(counts[fixed:, None], 1), moved[fixed:]
+    relaxed = points.copy()
+    relaxed[fixed:] = np.where(
+        counts[fixed:, None] > 0, sums[fixed:] / np.maximum(counts[fixed:, None], 1), relaxed[fixed:]
     )
-    return moved
+    return relaxed
 
 
 def _delaunay(points: np.ndarray, loop: int) -> np.ndarray:

@@ -158,13 +158,13 @@ class SecondOrder:
         return replace(stopped, positions=positions, velocities=stopped.velocities + cut / dt)
 
     def joined(self, state: State, dt: float, last: State) -> State:
-        whole = self.arrived(state, dt, last.positions, last.positions - state.positions)
-        step = _StepBefore(*whole.history)
+        full = self.arrived(state, dt, last.positions, last.positions - state.positions)
+        step = _StepBefore(*full.history)
         # The velocity is that of the last part, and the mean one that of the whole step.
-        step = step._replace(lag=step.lag + whole.velocities - last.velocities)
+        step = step._replace(lag=step.lag + full.velocities - last.velocities)
         anew = _StepBefore(*last.history).dt[:, 0] == 0.0
         step = step._replace(dt=step.dt.masked_fill(anew[:, None], 0.0))
-        return replace(whole, velocities=last.velocities, history=step)
+        return replace(full, velocities=last.velocities, history=step)
 
 
 def _growth(state: State, dt: float) -> Tensor:

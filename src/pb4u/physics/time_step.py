@@ -96,7 +96,7 @@ class TimeStep:
     @property
     def batches(self) -> bool:
         """Whether several positions take as many launches as one: on an accelerator."""
-        return self.bodies is not None and self.bodies.colliders.rooms is not None
+        return self.bodies is not None and self.bodies.colliders.capacities is not None
 
     @cached_property
     def is_on_a_processor(self) -> bool:
@@ -165,8 +165,8 @@ class TimeStep:
         """
         pins, motion, pull, share = self.pin_positions, self.skinned_motion, self.pull, (k + 1) / count
         if pull is not None:
-            held = self.state.positions[pull.vertices]
-            pull = replace(pull, places=torch.lerp(held, pull.places, share))
+            places = self.state.positions[pull.vertices]
+            pull = replace(pull, places=torch.lerp(places, pull.places, share))
         return replace(
             self,
             state=state,

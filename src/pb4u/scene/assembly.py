@@ -76,19 +76,19 @@ def make_scene(
             that comes from a file and is given without pins, or skin may show through a garment that is coarse for the
             body.
     """
-    known = ("material", "pins", "triangles", "environment", *entries("scene"))
-    refuse_unknown("option of a scene", options, known)
-    named: Sequence[Any] = garment if isinstance(garment, list | tuple) else [garment]
-    worn = tuple(each if isinstance(each, WornGarment) else WornGarment(each) for each in named)
+    names = ("material", "pins", "triangles", "environment", *entries("scene"))
+    refuse_unknown("option of a scene", options, names)
+    choices: Sequence[Any] = garment if isinstance(garment, list | tuple) else [garment]
+    specs = tuple(choice if isinstance(choice, WornGarment) else WornGarment(choice) for choice in choices)
     open_ = {name: options.pop(name) for name in ("material", "pins", "triangles") if options.get(name) is not None}
     options = {name: value for name, value in options.items() if value is not None}
-    run = Run(worn, body=body, motion=motion, **options)
+    run = Run(specs, body=body, motion=motion, **options)
     filled = run.with_entries(open_)
-    kept = [
-        replace(after, **{name: getattr(given, name) for name in open_ if getattr(given, name) is not None})
-        for given, after in zip(worn, filled.garments, strict=True)
+    garments = [
+        replace(after, **{name: getattr(spec, name) for name in open_ if getattr(spec, name) is not None})
+        for spec, after in zip(specs, filled.garments, strict=True)
     ]
-    return build_scene(replace(run, garments=tuple(kept)))
+    return build_scene(replace(run, garments=tuple(garments)))
 
 
 def build_scene(run: Run, written_fps: float | None = None) -> Scene:
@@ -104,45 +104,45 @@ def build_scene(run: Run, written_fps: float | None = None) -> Scene:
     Warns:
         InputWarning: as `make_scene` does.
     """
-    with noted() as told:
+    with noted() as notes:
         scene = _built(run, written_fps)
-    return replace(scene, notes=tuple(dict.fromkeys((*told, *scene.notes))))
+    return replace(scene, notes=tuple(dict.fromkeys((*notes, *scene.notes))))
 
 
 def _built(run: Run, written_fps: float | None) -> Scene:
     """The scene of a run; not all that is warned of is among its notes."""
     body, performed = perform(run)
-    collider, notes, kept = performed.body, performed.notes, run.led_frames if run.keep_lead_in else 0
-    frames, lead_in = kept + performed.frames, run.led_frames - kept
+    collider, notes, led = performed.body, performed.notes, run.led_frames if run.keep_lead_in else 0
+    frames, lead_in = led + performed.frames, run.led_frames - led
     garments, specified = load_garments(run.garments, body, run.as_recorded, run.rest_shape)
     garments = [
-        _on_springs(each, worn, frames, lead_in, run.fps) for each, worn in zip(garments, specified, strict=True)
+        _on_springs(item, spec, frames, lead_in, run.fps) for item, spec in zip(garments, specified, strict=True)
     ]
     places: Sequence[np.ndarray | None] = (None,) * len(garments)
     if body is not None and len(garments) > 1:
         places = layered(garments, RestBody.of(body))
     dressed = [
-        DressedGarment(each, _placement(each, collider, worn)) for each, worn in zip(garments, places, strict=True)
+        DressedGarment(item, _placement(item, collider, layer)) for item, layer in zip(garments, places, strict=True)
     ]
-    if kept:
-        written = round(kept * (written_fps or run.fps) / run.fps)
+    if led:
+        written = round(led * (written_fps or run.fps) / run.fps)
         notes = (*notes, f"The first {written} frames lead from the rest pose into the motion.")
     ground, more = _ground(run, collider, lead_in + frames)
     if collider is None:
         _require_above(ground, garments)
     notes = (*notes, *more, *_lost_folds(garments))
-    sources = [str(each.garment) if isinstance(each.garment, str | Path) else None for each in specified]
+    sources = [str(spec.garment) if isinstance(spec.garment, str | Path) else None for spec in specified]
     return Scene(
         garments=tuple(dressed),
         colliders=() if collider is None else (collider,),
         frames=frames,
         lead_in=lead_in,
-        kept_lead_in=kept,
+        kept_lead_in=led,
         fps=run.fps,
         environment=replace(run.environment, ground=ground),
         seed=run.seed,
         labels={
-            "garment": "+".join(each.garment.name for each in dressed),
+            "garment": "+".join(item.garment.name for item in dressed),
             "sources": sources,
             "body": NONE if collider is None else collider.name,
             "body_shape": dict(body.shape) if isinstance(body, ShapedBody) else {},
@@ -153,18 +153,18 @@ def _built(run: Run, written_fps: float | None) -> Scene:
     )
 
 
-def _on_springs(garment: Garment, worn: WornGarment, frames: int, lead_in: int, fps: float) -> Garment:
+def _on_springs(garment: Garment, spec: WornGarment, frames: int, lead_in: int, fps: float) -> Garment:
     """The garment with its pins on springs where they are to give way, or to let go."""
-    if worn.pin_stiffness is None and worn.pins_until is None:
+    if spec.pin_stiffness is None and spec.pins_until is None:
         return garment
     if not garment.pinned.any():
         raise InputError(f"Nothing pins {garment.name}, so its pins can neither give way nor let go; give --pins too.")
-    if worn.pins_until is not None and worn.pins_until >= frames:
+    if spec.pins_until is not None and spec.pins_until >= frames:
         raise InputError(
-            f"The pins of {garment.name} cannot let go at frame {worn.pins_until}: the last is {frames - 1}."
+            f"The pins of {garment.name} cannot let go at frame {spec.pins_until}: the last is {frames - 1}."
         )
-    until = math.inf if worn.pins_until is None else (lead_in + worn.pins_until) / fps
-    return replace(garment, springs=PinSprings(worn.pin_stiffness or _FIRM, until))
+    until = math.inf if spec.pins_until is None else (lead_in + spec.pins_until) / fps
+    return replace(garment, springs=PinSprings(spec.pin_stiffness or _FIRM, until))
 
 
 def _require_above(ground: float | None, garments: Sequence[Garment]) -> None:
@@ -204,7 +204,7 @@ def _lost_folds(garments: Sequence[Garment]) -> tuple[str, ...]:
             for cloth, area in zip(garment.materials or (garment.material,), areas, strict=True)
             if area > _OF_A_BAND * areas.sum()
         ]
-        folds = [each.bending_length for each in made_of if min(each.membrane[:2]) >= _STIFF and each.bending > 0]
+        folds = [cloth.bending_length for cloth in made_of if min(cloth.membrane[:2]) >= _STIFF and cloth.bending > 0]
         edge, longest = garment.mean_edge_length, _EDGE_OF_A_FOLD * min(folds, default=math.inf)
         if edge <= longest:
             continue
@@ -218,12 +218,12 @@ def _lost_folds(garments: Sequence[Garment]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _placement(garment: Garment, collider: AnimatedBody | None, worn: np.ndarray | None) -> Placement:
-    """The garment on the moving body, at `worn` (vertices, 3) [m] where it lies over others; else where it is."""
+def _placement(garment: Garment, collider: AnimatedBody | None, places: np.ndarray | None) -> Placement:
+    """The garment on the moving body, at `places` (vertices, 3) [m] where it lies over others; else where it is."""
     if collider is None:
         return PrescribedPlacement(garment.vertices[None])
     if not isinstance(collider, PosedBody):
-        return AttachedPlacement(garment, collider, worn)
-    if worn is None and garment.is_skinned_for(collider.body):
+        return AttachedPlacement(garment, collider, places)
+    if places is None and garment.is_skinned_for(collider.body):
         return CorrectedPlacement(garment, collider)
-    return SkinnedPlacement(garment, collider, worn=worn)
+    return SkinnedPlacement(garment, collider, worn=places)

@@ -152,7 +152,7 @@ class SourceTrack:
 
     @staticmethod
     def joined(garments: Sequence[Garment]) -> SourceTrack | None:
-        """Track of several garments joined into one; None where every mesh is simulated as its author made it.
+        """How the authors' meshes of several garments follow the simulated ones; None if all are simulated as they are.
 
         Args:
             garments: the garments, in the order of their vertices.
@@ -189,12 +189,12 @@ def joined_uvs(
     """
     if all(uvs is None for uvs, _, _ in parts):
         return None, None
-    known = [
+    maps = [
         (np.zeros((1, 2)), np.zeros((count, 3), dtype=np.int64)) if uvs is None or faces is None else (uvs, faces)
         for uvs, faces, count in parts
     ]
-    starts = offsets([uvs for uvs, _ in known])
-    return np.concatenate([uvs for uvs, _ in known]), joined_indices([faces for _, faces in known], starts)
+    starts = offsets([uvs for uvs, _ in maps])
+    return np.concatenate([uvs for uvs, _ in maps]), joined_indices([faces for _, faces in maps], starts)
 
 
 def split_seams(

@@ -18,10 +18,10 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.batched_surface import BatchedSurface, Groups, PosedBatch
+from pb4u.collision.capacities import Capacities
 from pb4u.collision.jit import as_float64
 from pb4u.collision.nearest_points import Found
 from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
-from pb4u.collision.rooms import Rooms
 from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.collision.wide_tree import WideTree
 from pb4u.geometry.topology import offsets
@@ -43,14 +43,14 @@ class PackedColliders:
         surfaces: the searchable surface of each world's bodies, regions left out of contact cut away and the holes
             closed: cloth that a hand went through would come into the forearm by its open end. None for a world without
             a body that may be touched.
-        rooms: fixed numbers of what searches find, for devices on which shapes may not wait for data; None for none.
+        capacities: fixed numbers of what searches find, where shapes may not wait for data; None elsewhere.
     """
 
     faces: Tensor
     contact: Tensor
     vertex_world: Tensor
     surfaces: tuple[TriangleSurface | None, ...]
-    rooms: Rooms | None = None
+    capacities: Capacities | None = None
 
     def surface_groups(self, worlds: int, positions: Tensor) -> BatchedSurface | None:
         """The surfaces of all worlds for searches in tensors; None where there is none.
@@ -80,16 +80,16 @@ class PackedColliders:
 
         def of() -> Groups:
             places = positions.detach().cpu().numpy()
-            rows = [own.cpu().numpy() for own in self.touchable]
-            return Groups.of([own[WideTree.over(places[own]).order] for own in rows], positions.device)
+            rows = [vertices.cpu().numpy() for vertices in self.touchable]
+            return Groups.of([vertices[WideTree.over(places[vertices]).order] for vertices in rows], positions.device)
 
         return self._formed("vertex_groups", of)
 
     def _formed(self, name: str, form: Callable[[], Formed]) -> Formed:
-        kept: dict[str, Formed] = self._kept
-        if name not in kept:
-            kept[name] = form()
-        return kept[name]
+        cache: dict[str, Formed] = self._kept
+        if name not in cache:
+            cache[name] = form()
+        return cache[name]
 
     @cached_property
     def _kept(self) -> dict[str, Any]:
@@ -122,15 +122,15 @@ class PackedColliders:
     @cached_property
     def world_contact_faces(self) -> tuple[Tensor, ...]:
         """Indices (faces,) int64 into `contact_faces` of what the surface of each world calls its faces."""
-        made, stop = [], len(self.faces)
-        for world, own in enumerate(self.world_faces):
+        world_faces, stop = [], len(self.faces)
+        for world, faces in enumerate(self.world_faces):
             start, stop = stop, stop + len(self._caps(world))
-            made.append(torch.cat([own, torch.arange(start, stop, device=own.device)]))
-        return tuple(made)
+            world_faces.append(torch.cat([faces, torch.arange(start, stop, device=faces.device)]))
+        return tuple(world_faces)
 
     @cached_property
     def searched_faces(self) -> tuple[np.ndarray, ...]:
-        """The same of the faces that the surface of each world searches, in its order; none without a surface."""
+        """Indices (faces,) int64 into `contact_faces` of what each world's surface searches, in its order."""
         return tuple(
             names.cpu().numpy()[:0] if surface is None else names.cpu().numpy()[surface.names]
             for names, surface in zip(self.world_contact_faces, self.surfaces, strict=True)
@@ -167,26 +167,26 @@ class PackedColliders:
         """
         return ColliderPose(self, positions)
 
-    def to(self, device: torch.device, rooms: Rooms | None = None) -> PackedColliders:
+    def to(self, device: torch.device, capacities: Capacities | None = None) -> PackedColliders:
         """Copy with its arrays on `device`, and what is known of them.
 
         Args:
             device: of the copy.
-            rooms: of the copy.
+            capacities: of the copy.
         """
-        moved = replace(
+        pack = replace(
             self,
             faces=self.faces.to(device),
             contact=self.contact.to(device),
             vertex_world=self.vertex_world.to(device),
-            rooms=rooms,
+            capacities=capacities,
         )
-        vars(moved)["world_vertices"] = self.world_vertices
-        vars(moved)["searched_faces"] = self.searched_faces
+        vars(pack)["world_vertices"] = self.world_vertices
+        vars(pack)["searched_faces"] = self.searched_faces
         for name in ("world_faces", "contact_faces", "touchable"):
-            vars(moved)[name] = _moved(getattr(self, name), device)
-        vars(moved)["_kept"] = {name: _moved(value, device) for name, value in self._kept.items()}
-        return moved
+            vars(pack)[name] = _moved(getattr(self, name), device)
+        vars(pack)["_kept"] = {name: _moved(value, device) for name, value in self._kept.items()}
+        return pack
 
 
 class ColliderPose:
@@ -248,8 +248,8 @@ class ColliderPose:
     def _posed(self, surfaces: tuple[TriangleSurface | None, ...]) -> tuple[PosedSurface | None, ...]:
         rows = self.colliders.world_vertices
         return tuple(
-            None if surface is None else surface.at(self.positions[own])
-            for surface, own in zip(surfaces, rows, strict=True)
+            None if surface is None else surface.at(self.positions[vertices])
+            for surface, vertices in zip(surfaces, rows, strict=True)
         )
 
 
@@ -333,13 +333,13 @@ def _surfaces(
 ) -> tuple[TriangleSurface | None, ...]:
     """Each world's searchable surface, cut to `contact` (vertices,) where given."""
     all_faces, owner = faces.cpu().numpy(), vertex_world.cpu().numpy()
-    made: list[TriangleSurface | None] = []
+    surfaces: list[TriangleSurface | None] = []
     for world in range(worlds):
         vertices = np.flatnonzero(owner == world)
         region = np.ones(len(vertices), dtype=bool) if contact is None else contact.cpu().numpy()[vertices]
         if not region.any():
-            made.append(None)
+            surfaces.append(None)
             continue
-        own = all_faces[owner[all_faces[:, 0]] == world] - vertices[0]
-        made.append(TriangleSurface(own, len(vertices), region, capped=True))
-    return tuple(made)
+        local_faces = all_faces[owner[all_faces[:, 0]] == world] - vertices[0]
+        surfaces.append(TriangleSurface(local_faces, len(vertices), region, capped=True))
+    return tuple(surfaces)

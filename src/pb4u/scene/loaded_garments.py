@@ -75,27 +75,27 @@ def load_garments(
         InputError: one cannot be read, or does not fit.
     """
     garments = []
-    for worn in specified:
-        garment = load_garment(worn, body, rest_shape)
+    for spec in specified:
+        garment = load_garment(spec, body, rest_shape)
         # A recording is replayed as its authors did, on the meshes that they did it with.
         if body is not None:
-            require_fine(garment, body, accepted=as_recorded or _is_own_count(worn, garment))
+            require_fine(garment, body, accepted=as_recorded or _is_own_count(spec, garment))
         garments.append(garment)
-    order = worn_order(garments, [each.tucked for each in specified])
+    order = worn_order(garments, [spec.tucked for spec in specified])
     return [garments[k] for k in order], [specified[k] for k in order]
 
 
-def _is_own_count(worn: WornGarment, garment: Garment) -> bool:
+def _is_own_count(spec: WornGarment, garment: Garment) -> bool:
     """Whether the user wants just as many triangles as the garment was made with."""
-    is_built_in = kind_of(worn.garment) is KINDS["built-in"]
-    return worn.triangles == garment.triangle_count and garment.is_authors_mesh and not is_built_in
+    is_built_in = kind_of(spec.garment) is KINDS["built-in"]
+    return spec.triangles == garment.triangle_count and garment.is_authors_mesh and not is_built_in
 
 
-def load_garment(worn: WornGarment, body: Body, rest_shape: RestShape = Run.rest_shape) -> Garment:
+def load_garment(spec: WornGarment, body: Body, rest_shape: RestShape = Run.rest_shape) -> Garment:
     """One garment, through all stages; an image that is laid on comes last.
 
     Args:
-        worn: which garment, and what is asked for of it.
+        spec: which garment, and what is asked for of it.
         body: who wears it.
         rest_shape: of a built-in one.
 
@@ -105,25 +105,25 @@ def load_garment(worn: WornGarment, body: Body, rest_shape: RestShape = Run.rest
     Warns:
         InputWarning: its file is odd, it starts inside the body, or nothing holds it up.
     """
-    kind = kind_of(worn.garment)
+    kind = kind_of(spec.garment)
     if kind is KINDS["built-in"] and rest_shape == "flat":
-        worn = _banded(worn)
-    garment = read(worn, body, rest_shape)
+        spec = _banded(spec)
+    garment = read(spec, body, rest_shape)
     garment = place(garment, body, kind)
-    garment = remesh(garment, body, kind, worn.triangles)
-    garment = tacked(garment, worn.tacks)
-    garment, support = hold(garment, body, kind, worn.pins)
-    garment = grained(check(garment, body, kind, support, worn.garment), worn.grain)
-    materials = {name: _material(each) for name, each in worn.materials.items() if name != REST}
-    garment = with_parts(garment, materials, worn.band_width, worn.layers, worn.interfacing, worn.elastic)
-    garment = buttoned(garment, worn.buttons)
-    if not garment.has_grain and any(each.has_grain for each in garment.materials or (garment.material,)):
+    garment = remesh(garment, body, kind, spec.triangles)
+    garment = tacked(garment, spec.tacks)
+    garment, support = hold(garment, body, kind, spec.pins)
+    garment = grained(check(garment, body, kind, support, spec.garment), spec.grain)
+    materials = {name: _material(cloth) for name, cloth in spec.materials.items() if name != REST}
+    garment = with_parts(garment, materials, spec.band_width, spec.layers, spec.interfacing, spec.elastic)
+    garment = buttoned(garment, spec.buttons)
+    if not garment.has_grain and any(cloth.has_grain for cloth in garment.materials or (garment.material,)):
         warn(
             f"{garment.name} has no grain, so its cloth is the same in all directions; --grain 0,1,0 makes its warp "
             "run upwards.",
             InputNote,
         )
-    return garment if worn.texture is None else textured(garment, read_image(Path(worn.texture)))
+    return garment if spec.texture is None else textured(garment, read_image(Path(spec.texture)))
 
 
 def fabrics_of_parts(name: str, garment: Garment) -> dict[str, str | None]:
@@ -136,33 +136,33 @@ def fabrics_of_parts(name: str, garment: Garment) -> dict[str, str | None]:
     Returns:
         By name, None for what is of the same cloth as the rest.
     """
-    own = _banded(WornGarment(name)).materials
-    return {part: None if part not in own else str(own[part]) for part in Parts(garment).names}
+    fabrics = _banded(WornGarment(name)).materials
+    return {part: None if part not in fabrics else str(fabrics[part]) for part in Parts(garment).names}
 
 
-def _banded(worn: WornGarment) -> WornGarment:
+def _banded(spec: WornGarment) -> WornGarment:
     """A built-in garment with the bands that it is cut with, unless the run names others in their place.
 
     Elastic takes the place of a pinned waistband, unless the run names pins. A garment of a material that the run names
     has no cloth of other parts.
     """
-    cut = CUTS.get(str(worn.garment))
-    asked = {*worn.materials, *worn.layers, *worn.interfacing, *worn.elastic}
-    if cut is None or BORDER in asked:
-        return worn
+    cut = CUTS.get(str(spec.garment))
+    named_parts = {*spec.materials, *spec.layers, *spec.interfacing, *spec.elastic}
+    if cut is None or BORDER in named_parts:
+        return spec
     bands = cut.bands
-    holds_by_pins = worn.pins is not None or worn.pin_stiffness is not None or worn.pins_until is not None
+    holds_by_pins = spec.pins is not None or spec.pin_stiffness is not None or spec.pins_until is not None
     elastic = {name: ratio for name, ratio in bands.elastic.items() if name != WAIST or not holds_by_pins}
-    fabrics = {} if REST in worn.materials else bands.fabrics
+    fabrics = {} if REST in spec.materials else bands.fabrics
     if not fabrics:
         # Of cloth that does not give, cuffs are not gathered.
         elastic = {name: ratio for name, ratio in elastic.items() if name == WAIST}
-    used = {*bands.layers, *fabrics, *elastic, *asked}
+    used = {*bands.layers, *fabrics, *elastic, *named_parts}
     widths = {name: width for name, width in bands.widths.items() if name in used}
-    pins = "none" if WAIST in elastic and not holds_by_pins else worn.pins
+    pins = "none" if WAIST in elastic and not holds_by_pins else spec.pins
     return replace(
-        worn, material={**fabrics, **worn.materials}, layers={**bands.layers, **worn.layers}, pins=pins,
-        elastic={**elastic, **worn.elastic}, band_width={**widths, **worn.band_width},
+        spec, material={**fabrics, **spec.materials}, layers={**bands.layers, **spec.layers}, pins=pins,
+        elastic={**elastic, **spec.elastic}, band_width={**widths, **spec.band_width},
     )  # fmt: skip
 
 
@@ -201,7 +201,7 @@ def kind_of(garment: str | Path | Garment) -> Kind:
     return KINDS["pattern" if suffix in SEWN else "mesh" if suffix else "built-in"]
 
 
-def _built_in(worn: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
+def _built_in(spec: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
     assert body is not None
     if not isinstance(body, ShapedBody):
         near = ", ".join(garment_names())
@@ -209,34 +209,34 @@ def _built_in(worn: WornGarment, body: Body, material: Material, rest_shape: Res
             f"The built-in garments ({near}) are cut from a body with bones; {body.name} is a sequence of vertices: "
             "give the garment as a mesh file that fits its first frame."
         )
-    triangles = LEVELS["base"] if worn.triangles is None else worn.triangles
-    garment = build_garment(str(worn.garment), body, triangles, rest_shape)
-    return garment.with_material(material) if REST in worn.materials else garment
+    triangles = LEVELS["base"] if spec.triangles is None else spec.triangles
+    garment = build_garment(str(spec.garment), body, triangles, rest_shape)
+    return garment.with_material(material) if REST in spec.materials else garment
 
 
-def _mesh(worn: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
-    most = MOST_SIMULATED if worn.triangles is None else MOST_READ
-    garment = authors_garment(str(worn.garment), material, most)
+def _mesh(spec: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
+    most = MOST_SIMULATED if spec.triangles is None else MOST_READ
+    garment = authors_garment(str(spec.garment), material, most)
     if body is not None:
         require_clothes(garment, body)
-    require_metres(garment, body, str(worn.garment))
+    require_metres(garment, body, str(spec.garment))
     return garment
 
 
-def _pattern(worn: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
-    file = Path(str(worn.garment))
-    garment: Garment = resolve_name(SEWN[file.suffix.lower()])(file, body, material, worn.triangles)
+def _pattern(spec: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
+    file = Path(str(spec.garment))
+    garment: Garment = resolve_name(SEWN[file.suffix.lower()])(file, body, material, spec.triangles)
     return garment
 
 
-def _dictionary(worn: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
-    entry = DictionaryEntry.parse(str(worn.garment))
+def _dictionary(spec: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
+    entry = DictionaryEntry.parse(str(spec.garment))
     assert entry is not None
     return DICTIONARIES.named(entry.path.suffix.lower())(entry, material)
 
 
-def _object(worn: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
-    garment = worn.garment
+def _object(spec: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
+    garment = spec.garment
     assert isinstance(garment, Garment)
     if len(loose := garment.topology.isolated_vertices):
         raise InputError(
@@ -245,7 +245,7 @@ def _object(worn: WornGarment, body: Body, material: Material, rest_shape: RestS
         )
     if body is not None:
         require_near(garment, body)
-    return garment.with_material(material) if REST in worn.materials else garment
+    return garment.with_material(material) if REST in spec.materials else garment
 
 
 KINDS = {
@@ -258,21 +258,21 @@ KINDS = {
 """Name of a kind -> what reads it and what is known of it; an object is a Garment made in Python."""
 
 
-def read(worn: WornGarment, body: Body, rest_shape: RestShape = Run.rest_shape) -> Garment:
+def read(spec: WornGarment, body: Body, rest_shape: RestShape = Run.rest_shape) -> Garment:
     """A garment as its source gives it, in the material of the run; else in its own, or in the default one.
 
     Args:
-        worn: which garment.
+        spec: which garment.
         body: who wears it.
         rest_shape: of a built-in one.
 
     Raises:
         InputError: it cannot be read, or is not for this body.
     """
-    kind = kind_of(worn.garment)
+    kind = kind_of(spec.garment)
     if body is None and kind.is_fitted:
-        raise InputError(f"{worn.name} is made on the body that wears it, and body {NONE} has none; give a mesh file.")
-    return kind.read(worn, body, _material(worn.materials.get(REST, DEFAULT_MATERIAL)), rest_shape)
+        raise InputError(f"{spec.name} is made on the body that wears it, and body {NONE} has none; give a mesh file.")
+    return kind.read(spec, body, _material(spec.materials.get(REST, DEFAULT_MATERIAL)), rest_shape)
 
 
 def _material(material: str | Path | Material) -> Material:

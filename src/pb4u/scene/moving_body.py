@@ -113,9 +113,7 @@ def _shaped_body(run: Run, shape: Mapping[str, float]) -> ShapedBody | VertexSeq
     """The body with the `shape` that its recording says, and over it that of the run."""
     body = run.body
     if shape and not (isinstance(body, str | Path) and Path(body).suffix):
-        raise InputError(
-            f"A recording is played as recorded on an SMPL body, given as a model file; {body} has another skeleton."
-        )
+        raise InputError(f"--as-recorded needs a model file of the SMPL family as --body; {body} has another skeleton.")
     if isinstance(body, str | Path):
         return load_body_of(str(body), run.clip, run.body_parts, run.body_units, {**shape, **run.body_shape})
     if not isinstance(body, ShapedBody | VertexSequence):
@@ -203,8 +201,8 @@ def _play(body: VertexSequence, run: Run) -> Performance:
         body = body.smoothed(CUTOFF)
     # A body that never moves has no end: it stands for as long as wanted.
     standing = (run.frames or DEFAULT_FRAMES) - 1 if body.frame_count == 1 else 0
-    held = body.resampled(run.fps).with_held_start(run.led_frames + standing)
-    return Performance(held, _frames(run, body.name, held.frame_count - run.led_frames), body.name)
+    played = body.resampled(run.fps).with_held_start(run.led_frames + standing)
+    return Performance(played, _frames(run, body.name, played.frame_count - run.led_frames), body.name)
 
 
 def _refuse_changes(

@@ -101,7 +101,7 @@ class PackedGarments:
 
     @property
     def lame_lambda(self) -> Tensor:
-        """First Lame parameter (faces,) [Pa] likewise."""
+        """First Lame parameter (faces,) [Pa] of the isotropic cloth that is nearest: what networks read."""
         return nearest_isotropic(*self.membrane.unbind(1))[1].clamp_min(0.0) / Material.thickness
 
     @cached_property
@@ -111,12 +111,12 @@ class PackedGarments:
 
     @cached_property
     def damps(self) -> bool:
-        """Whether some cloth resists a change of its shape; likewise."""
+        """Whether some cloth resists a change of its shape; known without asking the device."""
         return any(material.damping_time > 0.0 for material in self._materials)
 
     @property
     def _materials(self) -> Iterator[Material]:
-        return (each for garment in self.garments for each in garment.materials or (garment.material,))
+        return (material for garment in self.garments for material in garment.materials or (garment.material,))
 
     @property
     def world_count(self) -> int:
@@ -154,8 +154,8 @@ class PackedGarments:
         rows = torch.arange(int(max(np.diff(self.world_offsets), default=0)), device=self.device)
         filled = rows < offsets.diff()[:, None]
         places = offsets[:-1, None] + torch.minimum(rows, offsets.diff()[:, None] - 1)
-        own = torch.arange(self.vertex_count, device=self.device) - offsets[self.vertex_world]
-        return places, filled, self.vertex_world * len(rows) + own
+        row = torch.arange(self.vertex_count, device=self.device) - offsets[self.vertex_world]
+        return places, filled, self.vertex_world * len(rows) + row
 
     @cached_property
     def world_weights(self) -> Tensor:
@@ -191,7 +191,7 @@ class PackedGarments:
 
     @cached_property
     def surface_tree_of_each(self) -> SurfaceTree:
-        """The same where a garment comes near itself alone."""
+        """Search for elements that come near others of the same garment."""
         alone = tuple(range(self.garment_count))
         return self.surface_tree if alone == self.worlds else self._tree(alone)
 
@@ -206,7 +206,7 @@ class PackedGarments:
         """The searchable surface of each world's garments; its vertices are counted from the first of the world."""
         faces, world = self.faces.cpu().numpy(), self.garment_world[self.face_garment].cpu().numpy()
         rows = enumerate(self.world_vertices)
-        return tuple(TriangleSurface(faces[world == k] - own.start, own.stop - own.start) for k, own in rows)
+        return tuple(TriangleSurface(faces[world == k] - span.start, span.stop - span.start) for k, span in rows)
 
     def by_world(self, values: Tensor) -> Tensor:
         """Sums (worlds,) of `values` over the garments of each world, in their unit.
@@ -225,13 +225,13 @@ class PackedGarments:
             device: where the arrays go.
             dtype: of floating arrays; None keeps theirs.
         """
-        own = {each.name: getattr(self, each.name) for each in fields(self)}
-        moved: dict[str, Any] = {
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        tensors: dict[str, Any] = {
             name: value.to(device, dtype if value.is_floating_point() else None)
-            for name, value in own.items()
+            for name, value in values.items()
             if isinstance(value, Tensor)
         }
-        return replace(self, **moved)
+        return replace(self, **tensors)
 
     @property
     def garment_count(self) -> int:

@@ -65,8 +65,8 @@ class Scene:
             raise InputError("A scene has no garment; give one or more.")
 
     def __repr__(self) -> str:
-        worn = [dressed.garment for dressed in self.garments]
-        garments = ", ".join(f"{each.name} ({each.triangle_count:,} triangles)" for each in worn)
+        pieces = [dressed.garment for dressed in self.garments]
+        garments = ", ".join(f"{garment.name} ({garment.triangle_count:,} triangles)" for garment in pieces)
         bodies = ", ".join(f"{body.name} ({len(body.faces):,} triangles)" for body in self.colliders)
         ground = "none" if self.environment.ground is None else f"{self.environment.ground:g} m"
         return (

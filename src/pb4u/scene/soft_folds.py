@@ -87,7 +87,7 @@ class SoftFolds:
         posed = self._body.positions(start, stop)
         if not self._body.is_closed or not len(self._places):
             return posed
-        return torch.stack([torch.from_numpy(self.opened(each)) for each in posed.numpy()])
+        return torch.stack([torch.from_numpy(self.opened(frame)) for frame in posed.numpy()])
 
     def opened(self, positions: np.ndarray) -> np.ndarray:
         """The vertices (vertices, 3) of one frame with the folds opened; the same array where there are none.
@@ -102,8 +102,8 @@ class SoftFolds:
         if not len(pairs):
             return positions
         inside = self._inside(x, every, pairs)
-        held = inside[self._rows]
-        pairs = pairs[held[pairs].all(axis=1)]
+        is_inside = inside[self._rows]
+        pairs = pairs[is_inside[pairs].all(axis=1)]
         if not len(pairs):
             return positions
         smooth, spread = self._smoothing, self._spread
@@ -111,10 +111,10 @@ class SoftFolds:
         normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(min=1e-12)
         depth = _depth(points, normals, pairs, _ASIDE)
         room, share = depth.clip(0.0, _ROOM), _opened_share(depth, pairs)
-        inward, around = np.zeros(len(points)), (smooth @ held.astype(np.float64)).clip(min=1e-12)
+        inward, around = np.zeros(len(points)), (smooth @ is_inside.astype(np.float64)).clip(min=1e-12)
         for _ in range(_ROUNDS):
             inward += 0.5 * np.maximum(depth + room, 0.0)
-            inward = np.where(held, (smooth @ inward) / around, 0.0).clip(max=self._most)
+            inward = np.where(is_inside, (smooth @ inward) / around, 0.0).clip(max=self._most)
             depth = _depth(points - inward[:, None] * normals, normals, pairs, _ASIDE)
         rows = self._touched[inside]
         way = (spread @ ((share * inward)[:, None] * normals))[inside]
@@ -122,17 +122,17 @@ class SoftFolds:
         rim = _depth(x[rows], every[rows], _met(x[rows], every[rows], self._vertices[inside]), _NEAR)
         most = np.where(rim > -_REACH, 2.0 * rim.clip(min=0.0), np.inf)
         way *= np.minimum(1.0, most / np.linalg.norm(way, axis=1).clip(min=1e-12))[:, None]
-        moved = x.copy()
-        moved[rows] -= way
-        return moved.astype(positions.dtype)
+        opened = x.copy()
+        opened[rows] -= way
+        return opened.astype(positions.dtype)
 
     def _inside(self, x: np.ndarray, normals: np.ndarray, pairs: np.ndarray) -> np.ndarray:
         """Which of the touched vertices (touched,) bool, of those around the pairs, lie inside another part."""
-        met = np.zeros(len(self._places))
-        met[pairs] = 1.0
-        rows = np.flatnonzero(self._spread @ met > 0.0)
-        asked = self._touched[rows]
-        around = winding_numbers(self._surface.at(x).searched, x[asked] + _OUTSIDE * normals[asked])
+        is_paired = np.zeros(len(self._places))
+        is_paired[pairs] = 1.0
+        rows = np.flatnonzero(self._spread @ is_paired > 0.0)
+        vertices = self._touched[rows]
+        around = winding_numbers(self._surface.at(x).searched, x[vertices] + _OUTSIDE * normals[vertices])
         inside = np.zeros(len(self._touched), dtype=bool)
         inside[rows] = around > 0
         return inside

@@ -72,7 +72,7 @@ class TrajectoryHeader:
             scene: garments and bodies.
             metadata: entries added to those of the garments.
         """
-        garments, bodies = [worn.garment for worn in scene.garments], scene.colliders
+        garments, bodies = [dressed.garment for dressed in scene.garments], scene.colliders
         vertices, triangles = offsets([g.vertices for g in garments]), offsets([g.faces for g in garments])
         uvs, uv_faces = joined_uvs([(g.uvs, g.uv_faces, len(g.faces)) for g in garments])
         sources = [*scene.labels.get("sources", ()), *[None] * len(garments)]
@@ -143,27 +143,27 @@ class TrajectoryHeader:
     @property
     def garments(self) -> list[dict[str, Any]]:
         """Entries of each garment in `metadata`; one entry for files of older versions, which have none."""
-        whole = {
+        entry = {
             "name": self.metadata.get("garment", "garment"),
             "material": self.metadata.get("material"),
             "vertices": [0, len(self.rest_positions)],
             "triangles": [0, len(self.faces)],
             "source": None,
         }
-        return self.metadata.get("garments") or [whole]
+        return self.metadata.get("garments") or [entry]
 
     @property
     def materials(self) -> list[tuple[dict[str, Any], np.ndarray]]:
         """Each material in `metadata`, of older files one a garment, and which faces (faces,) bool are of it."""
-        whole = [0, len(self.faces)]
-        older = [{**(each.get("material") or {}), "faces": [each.get("triangles", whole)]} for each in self.garments]
-        listed = []
-        for made in self.metadata.get("materials") or older:
+        span = [0, len(self.faces)]
+        older = [{**(item.get("material") or {}), "faces": [item.get("triangles", span)]} for item in self.garments]
+        materials = []
+        for material in self.metadata.get("materials") or older:
             faces = np.zeros(len(self.faces), dtype=bool)
-            for first, stop in made["faces"]:
+            for first, stop in material["faces"]:
                 faces[first:stop] = True
-            listed.append((made, faces))
-        return listed
+            materials.append((material, faces))
+        return materials
 
     @property
     def outlines(self) -> Polygons:
@@ -177,15 +177,15 @@ class TrajectoryHeader:
 
 def _materials(garments: Sequence[Garment], first_triangles: Sequence[int]) -> list[dict[str, Any]]:
     """Every material of every garment, with the ranges [first, stop) of the triangles made of it."""
-    listed = []
+    materials = []
     for garment, first in zip(garments, first_triangles, strict=False):
         for number, material in enumerate(garment.materials or (garment.material,)):
-            made = np.ones(len(garment.faces), dtype=bool)
+            mask = np.ones(len(garment.faces), dtype=bool)
             if garment.face_material is not None:
-                made = garment.face_material == number
-            ranges = [[start + first, stop + first] for start, stop in ranges_of(made)]
-            listed.append({"garment": garment.name, **asdict(material), "faces": ranges})
-    return listed
+                mask = garment.face_material == number
+            ranges = [[start + first, stop + first] for start, stop in ranges_of(mask)]
+            materials.append({"garment": garment.name, **asdict(material), "faces": ranges})
+    return materials
 
 
 def ranges_of(chosen: np.ndarray) -> list[list[int]]:

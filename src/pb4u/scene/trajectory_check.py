@@ -105,8 +105,8 @@ def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, 
     if not 1e-3 <= members["fps"] <= 1e5:
         raise refuse(f"{float(members['fps']):g} frames per second")
     metadata = _metadata(str(members["metadata"]), path, refuse)
-    listed = metadata.get("materials")
-    if "material_layers" in members and not (isinstance(listed, list) and len(listed) == counts["materials"]):
+    materials = metadata.get("materials")
+    if "material_layers" in members and not (isinstance(materials, list) and len(materials) == counts["materials"]):
         raise refuse("material_layers and the materials in its metadata do not agree")
     if "trims" in members and not (members["trims"][:, 1] > 0.0).all():
         raise refuse("the elastic in its trims is not positive")
@@ -120,9 +120,9 @@ def _metadata(text: str, path: Path, refuse: Any) -> dict[str, Any]:
         raise refuse("its metadata is not JSON") from None
     if not isinstance(metadata, dict):
         raise refuse("its metadata is not a JSON object")
-    heading, held = metadata.get("heading", 0.0), metadata.get("held_frames", [])
+    heading, held_frames = metadata.get("heading", 0.0), metadata.get("held_frames", [])
     if not isinstance(heading, int | float) or not math.isfinite(heading):
         raise refuse("the heading in its metadata is not a number")
-    if not isinstance(held, list) or not all(isinstance(frame, int) for frame in held):
+    if not isinstance(held_frames, list) or not all(isinstance(frame, int) for frame in held_frames):
         raise refuse("the held_frames in its metadata are not frame numbers")
     return metadata

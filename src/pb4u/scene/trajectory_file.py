@@ -58,10 +58,10 @@ def encoded(trajectory: Trajectory, half: bool = False) -> bytes:
             members[_ORIGINS[name]], values = origins, values - origins[:, None]
         with np.errstate(over="ignore", invalid="ignore"):  # what ran away is infinite then
             members[name] = values.astype(np.float16 if half else np.float32)
-    whole = BytesIO()
-    with zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
+    buffer = BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
         _write_members(archive, members)
-    return whole.getvalue()
+    return buffer.getvalue()
 
 
 def read_members(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -82,8 +82,8 @@ def read_members(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     except InputError as error:
         if path.suffix.lower() != ".npz":
             raise InputError(f"{path} is no trajectory; give the .npz that `pb4u simulate` wrote.") from error
-        told = str(error).removeprefix(f"{path}: ")
-        raise InputError(f"{path} cannot be read as a trajectory (cut short or another format): {told}") from error
+        reason = str(error).removeprefix(f"{path}: ")
+        raise InputError(f"{path} cannot be read as a trajectory (cut short or another format): {reason}") from error
     version = members.get("format_version", np.array(FORMAT_VERSION))
     if version.shape != () or version.dtype.kind not in "iu":
         raise InputError(f"{path} is not a pb4u trajectory: its format version is not a whole number.")
@@ -106,10 +106,10 @@ def _whole_precision(members: dict[str, np.ndarray], path: Path) -> dict[str, np
     """The streamed members of a file in half precision, as they are in one of the first format."""
     # In memory each takes twice its size in the file.
     require_room(path, sum(members[name].nbytes for name in _STREAMED))
-    whole = {name: np.asarray(members[name], dtype=np.float32) for name in _STREAMED}
+    arrays = {name: np.asarray(members[name], dtype=np.float32) for name in _STREAMED}
     for name, origins in _ORIGINS.items():
-        whole[name] = whole[name] + members[origins][:, None]
-    return whole
+        arrays[name] = arrays[name] + members[origins][:, None]
+    return arrays
 
 
 def _header_members(header: TrajectoryHeader) -> dict[str, np.ndarray]:
@@ -238,10 +238,10 @@ class TrajectoryWriter:
         with archive.open(f"{name}.npy", "w", force_zip64=True) as member, (self._folder / name).open("rb") as raw:
             np.lib.format.write_array_header_1_0(member, {"descr": "<f4", "fortran_order": False, "shape": shape})
             # An interrupt may have left a part of a further frame.
-            left = 4 * math.prod(shape)
-            while block := raw.read(min(left, 1 << 20)):
+            remaining = 4 * math.prod(shape)
+            while block := raw.read(min(remaining, 1 << 20)):
                 member.write(block)
-                left -= len(block)
+                remaining -= len(block)
 
     def abandon(self) -> None:
         """Delete what was written; no file appears."""
@@ -274,8 +274,8 @@ def kept_sentence(frames: int, path: Path) -> str:
         frames: number of frames.
         path: of the file.
     """
-    kept = f"the first {'frame is' if frames == 1 else f'{frames} frames are'} in {path}"
-    return f"{kept}, for `pb4u view` and `pb4u convert`; `pb4u simulate` does not go on from there"
+    what = f"the first {'frame is' if frames == 1 else f'{frames} frames are'} in {path}"
+    return f"{what}, for `pb4u view` and `pb4u convert`; `pb4u simulate` does not go on from there"
 
 
 def interrupted_path(path: Path) -> Path:

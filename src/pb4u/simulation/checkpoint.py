@@ -367,9 +367,9 @@ def from_pretrained(name_or_path: str | Path) -> Checkpoint:
     Raises:
         InputError: there is neither, listing the names, and whatever `load_checkpoint` refuses.
     """
-    wanted = str(name_or_path)
-    with weights_file(wanted) as path:
-        return load_checkpoint(path, wanted if wanted in built_in_models() else None)
+    name = str(name_or_path)
+    with weights_file(name) as path:
+        return load_checkpoint(path, name if name in built_in_models() else None)
 
 
 READERS: Registry[Callable[[str], Checkpoint]] = Registry("kind of weights", {SUFFIX: from_pretrained})
@@ -417,12 +417,12 @@ def training_record_from_json(data: dict[str, Any]) -> TrainingRecord:
     )
 
 
-def _check_fit(path: Path | str, expected: Mapping[str, Tensor], found: Mapping[str, Tensor]) -> None:
-    missing, foreign = sorted(expected.keys() - found.keys()), sorted(found.keys() - expected.keys())
+def _check_fit(path: Path | str, expected: Mapping[str, Tensor], tensors: Mapping[str, Tensor]) -> None:
+    missing, foreign = sorted(expected.keys() - tensors.keys()), sorted(tensors.keys() - expected.keys())
     if missing or foreign:
-        named = f"{missing[0]} is missing" if missing else f"{foreign[0]} is not part of it"
-        raise InputError(f"{path} does not hold the network that its header describes: {named}.")
-    for key, tensor in found.items():
+        fault = f"{missing[0]} is missing" if missing else f"{foreign[0]} is not part of it"
+        raise InputError(f"{path} does not hold the network that its header describes: {fault}.")
+    for key, tensor in tensors.items():
         if tensor.shape != expected[key].shape:
             raise InputError(
                 f"{path} has another feature layout or size than its header says: {key} is {tuple(tensor.shape)} "

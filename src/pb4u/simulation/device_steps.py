@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.batched_surface import GROUP
-from pb4u.collision.rooms import Rooms
+from pb4u.collision.capacities import Capacities
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import GraphNetwork
 from pb4u.network.interaction_block import InteractionBlock
@@ -27,29 +27,29 @@ class _Pending:
         begun: what it left.
         copies: positions and velocities of the state that it led to, and the room that it wanted, on the processor.
         names: of the searches that wanted room.
-        done: recorded behind the copies; None where nothing has to be waited for.
+        event: recorded behind the copies; None where nothing has to be waited for.
     """
 
     begun: Taken
     copies: tuple[Tensor, ...]
     names: tuple[str, ...]
-    done: torch.cuda.Event | None
+    event: torch.cuda.Event | None
 
     @staticmethod
-    def of(begun: Taken, state: State, names: tuple[str, ...], wanted: Tensor) -> _Pending:
-        parts = (state.positions, state.velocities, wanted)
+    def of(begun: Taken, state: State, names: tuple[str, ...], sizes: Tensor) -> _Pending:
+        parts = (state.positions, state.velocities, sizes)
         copies = tuple(part.to("cpu", non_blocking=True) for part in parts)
         on_card = state.positions.device.type == "cuda"
-        done = torch.cuda.Event() if on_card else None  # type: ignore[no-untyped-call]
-        if done is not None:
-            done.record()
-        return _Pending(begun, copies, names, done)
+        event = torch.cuda.Event() if on_card else None  # type: ignore[no-untyped-call]
+        if event is not None:
+            event.record()
+        return _Pending(begun, copies, names, event)
 
-    def had_room(self, rooms: Rooms) -> bool:
+    def had_room(self, capacities: Capacities) -> bool:
         """Whether the step had room for all that it found; makes more where it had not."""
-        if self.done is not None:
-            self.done.synchronize()
-        return not rooms.grow(self.names, self.copies[2])
+        if self.event is not None:
+            self.event.synchronize()
+        return not capacities.grow(self.names, self.copies[2])
 
     @property
     def state(self) -> State:
@@ -72,23 +72,23 @@ def bytes_a_vertex(network: GraphNetwork, body_faces: int, recorded: int | None 
     return 4 * width * arrays + 4 * 8 * -(-body_faces // GROUP)
 
 
-def require_memory(what: str, vertices: int, each: int, device: torch.device) -> None:
+def require_memory(what: str, vertices: int, size: int, device: torch.device) -> None:
     """Refuse what a card has no room for, before its first step.
 
     Args:
         what: takes the memory, as the subject of a sentence.
         vertices: number of the garments' vertices.
-        each: bytes a vertex.
+        size: bytes a vertex.
         device: the card.
 
     Raises:
         InputError: it is too large; a number of triangles that would fit is named.
     """
     free, _ = torch.cuda.mem_get_info(device)
-    if each * vertices > free:
+    if size * vertices > free:
         raise InputError(
-            f"The card has {free / 1e9:.1f} GB left, and {what} takes about {each * vertices / 1e9:.1f} GB; garments "
-            f"of {2 * free // each:,} triangles in all would fit."
+            f"The card has {free / 1e9:.1f} GB left, and {what} takes about {size * vertices / 1e9:.1f} GB; garments "
+            f"of {2 * free // size:,} triangles in all would fit."
         )
 
 
@@ -107,16 +107,16 @@ def states_after(
         frames: total number, of which that is one.
         replays: whether steps are replayed as CUDA graphs where their shapes stay; on a card by default.
     """
-    rooms, waiting = timeline.colliders.rooms, None
-    assert rooms is not None
+    capacities, waiting = timeline.colliders.capacities, None
+    assert capacities is not None
     steps = StepGraph(timeline, method, timeline.garments.device.type == "cuda" if replays is None else replays)
     while True:
         pending = None
         if taken.state.frame < frames - 1:
             begun = taken
-            taken, names, wanted = steps.take(begun)
-            pending = _Pending.of(begun, taken.state, names, wanted)
-        if waiting is not None and not waiting.had_room(rooms):
+            taken, names, sizes = steps.take(begun)
+            pending = _Pending.of(begun, taken.state, names, sizes)
+        if waiting is not None and not waiting.had_room(capacities):
             taken, waiting = waiting.begun, None
             continue
         if waiting is not None:

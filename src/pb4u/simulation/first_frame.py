@@ -64,18 +64,18 @@ def untangled(timeline: Timeline, method: StepMethod, state: State) -> State:
         return state
     garments, positions, free = timeline.garments, as_float64(state.positions), []
     for world, rows in enumerate(garments.world_vertices):
-        worn = [g for g, its in zip(garments.garments, garments.worlds, strict=True) if its == world]
-        free.append(untangled_start(worn, positions[rows]))
+        members = [g for g, number in zip(garments.garments, garments.worlds, strict=True) if number == world]
+        free.append(untangled_start(members, positions[rows]))
     return replace(state, positions=torch.from_numpy(np.concatenate(free)).to(state.positions))
 
 
 def _falls(timeline: Timeline) -> Tensor:
     """Vertices (vertices,) bool of the worlds in which there is neither a body nor a pin."""
     garments = timeline.garments
-    held = torch.zeros(garments.world_count, dtype=torch.bool, device=garments.vertex_world.device)
-    held[timeline.colliders.vertex_world] = True
-    held[garments.vertex_world[garments.pinned]] = True
-    return ~held[garments.vertex_world]
+    is_held = torch.zeros(garments.world_count, dtype=torch.bool, device=garments.vertex_world.device)
+    is_held[timeline.colliders.vertex_world] = True
+    is_held[garments.vertex_world[garments.pinned]] = True
+    return ~is_held[garments.vertex_world]
 
 
 class AsPlaced(FirstFrame):
@@ -111,9 +111,9 @@ def _closed(timeline: Timeline, method: StepMethod, state: State) -> State:
         return state
     planes = nearest_planes(step.bodies.following, garments, state.positions, within=MOTION_REACH)
     gathered = np.zeros(garments.vertex_count, dtype=bool)
-    for each, first in zip(garments.garments, garments.vertex_offsets, strict=False):
-        if each.trims is not None:
-            gathered[each.faces[each.trims.elastic < 1.0] + int(first)] = True
+    for garment, first in zip(garments.garments, garments.vertex_offsets, strict=False):
+        if garment.trims is not None:
+            gathered[garment.faces[garment.trims.elastic < 1.0] + int(first)] = True
     near = torch.from_numpy(gathered) & planes.touchable & ~garments.pinned & (planes.distance < _CLOSES)
     way = torch.where(near, Collision().clearance - planes.distance, 0.0)
     laid = replace(state, positions=state.positions + way[:, None] * planes.normals)
@@ -146,17 +146,17 @@ class Settled(FirstFrame):
         settling = StepMethod(refinement=refinement, contact=method.contact, potential=method.potential)
         begun = state = AsPlaced().start(timeline, method).state
         owner, falls = timeline.garments.vertex_garment, _falls(timeline)
-        if any(each.has_elastic for each in timeline.garments.garments):
+        if any(garment.has_elastic for garment in timeline.garments.garments):
             state = _closed(timeline, method, state)
         for _ in range(self.most_steps):
             settled = take(timeline.settling_from(state), settling).state
             positions = torch.where(falls[:, None], begun.positions, settled.positions)
             moves = (positions - state.positions).square().sum(1)
-            moved = max(
+            farthest = max(
                 float(moves[owner == number].mean().sqrt()) for number in range(timeline.garments.garment_count)
             )
             state = replace(begun, positions=positions, load=settled.load)
-            if moved <= self.still:
+            if farthest <= self.still:
                 break
         yield Taken(state)
 

@@ -125,8 +125,8 @@ class LiveRun:
             number: of the garment, from 0 for the innermost.
             material: of all its faces.
         """
-        worn = list(self.scene.garments)
-        worn[number] = replace(worn[number], garment=worn[number].garment.with_material(material))
-        self.scene = replace(self.scene, garments=tuple(worn))
-        self._timeline = self._timeline.with_garments([each.garment for each in worn])
+        garments = list(self.scene.garments)
+        garments[number] = replace(garments[number], garment=garments[number].garment.with_material(material))
+        self.scene = replace(self.scene, garments=tuple(garments))
+        self._timeline = self._timeline.with_garments([dressed.garment for dressed in garments])
         self._method = self._simulator.method(self._timeline, self.record)

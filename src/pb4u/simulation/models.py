@@ -52,7 +52,7 @@ def model_descriptions() -> dict[str, str]:
     from pb4u.simulation.checkpoint import built_in_models
 
     networks = {name: _network_line(name) for name in built_in_models()}
-    own = {name: line for name, line in networks.items() if not name.startswith("comparison-")}
+    ours = {name: line for name, line in networks.items() if not name.startswith("comparison-")}
     solvers = {
         "quick-solver": "the solver with at most --refine iterations a step, no network: fastest for most garments",
         "solver": "minimises the physics energies each frame: the reference",
@@ -63,8 +63,8 @@ def model_descriptions() -> dict[str, str]:
         "warm-start": "control: where the default network's steps start, and nothing after",
     }
     usual = default_model()
-    first = {name: line for name, line in own.items() if name == usual}
-    return {**first, **solvers, **own, **(controls if networks else {}), **networks}
+    first = {name: line for name, line in ours.items() if name == usual}
+    return {**first, **solvers, **ours, **(controls if networks else {}), **networks}
 
 
 def _network_line(name: str) -> str:
@@ -113,8 +113,8 @@ def chosen_laws(run: Run) -> dict[str, str]:
         laws["time_integration"] = "bdf2"
     if any(run.environment.wind):
         laws["air"] = "on"
-    given = {name: getattr(run, name) for name in laws}
-    return {name: laws[name] if value == "auto" else value for name, value in given.items()}
+    values = {name: getattr(run, name) for name in laws}
+    return {name: laws[name] if value == "auto" else value for name, value in values.items()}
 
 
 def _solves(run: Run) -> bool:
@@ -247,11 +247,11 @@ def unknown_model(name: str) -> InputError:
     Args:
         name: name that was given.
     """
-    meant, known = name.lower().replace("-", "_"), model_descriptions()
+    meant, names = name.lower().replace("-", "_"), model_descriptions()
     trainable = TRAINABLE.get(meant)
-    if trainable is None or meant in known:
-        return unknown_name("model", name, known)
-    networks = ", ".join(each for each in known if each not in PARTS and not each.startswith("comparison-"))
+    if trainable is None or meant in names:
+        return unknown_name("model", name, names)
+    networks = ", ".join(n for n in names if n not in PARTS and not n.startswith("comparison-"))
     return InputError(f"There is no model {name!r} with weights: {trainable}; the weights shipped are {networks}.")
 
 
@@ -338,5 +338,5 @@ def has_bfloat16_units(device: str) -> bool:
         return torch.cuda.is_bf16_supported(including_emulation=False)
     # Vectors alone multiply in bfloat16 no faster than the compiled network does in float32; matrix units do. The
     # library tells no more in public than that bfloat16 works at all, which it does on any processor.
-    found = getattr(torch.cpu, "_is_amx_tile_supported", None)
-    return found is not None and bool(found())
+    check = getattr(torch.cpu, "_is_amx_tile_supported", None)
+    return check is not None and bool(check())

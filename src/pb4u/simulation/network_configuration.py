@@ -45,15 +45,15 @@ def configuration_from_json(data: Any) -> NetworkConfiguration:
 def _known_types(data: Any) -> dict[str, type]:
     """The dataclasses that a configuration of the kind of `data` is made of, by name; of an unknown kind, all."""
     name = data.get("type", "") if isinstance(data, dict) else ""
-    known: dict[str, type] = {}
+    types: dict[str, type] = {}
     waiting: list[Any] = [CONFIGURATIONS[name]] if name in CONFIGURATIONS else list(CONFIGURATIONS.values())
     while waiting:
         annotation = waiting.pop()
         waiting += get_args(annotation)
-        if is_dataclass(annotation) and isinstance(annotation, type) and annotation.__name__ not in known:
-            known[annotation.__name__] = annotation
+        if is_dataclass(annotation) and isinstance(annotation, type) and annotation.__name__ not in types:
+            types[annotation.__name__] = annotation
             waiting += get_type_hints(annotation).values()
-    return known
+    return types
 
 
 def _encode(value: Any) -> Any:
@@ -67,25 +67,25 @@ def _encode(value: Any) -> Any:
     return value
 
 
-def _decode(data: Any, known: dict[str, type]) -> Any:
+def _decode(data: Any, types: dict[str, type]) -> Any:
     if isinstance(data, list):
-        return tuple(_decode(item, known) for item in data)
+        return tuple(_decode(item, types) for item in data)
     if not isinstance(data, dict):
         return data
     name = data.get("type")
-    if name not in known:
+    if name not in types:
         raise InputError(f"The configuration holds a part of unknown type {name!r}.")
-    given = {RENAMED.get(str(key), str(key)): _decode(value, known) for key, value in data.items() if key != "type"}
-    allowed = {entry.name for entry in fields(known[name])}
-    unknown = sorted(set(given) - allowed)
+    values = {RENAMED.get(str(key), str(key)): _decode(value, types) for key, value in data.items() if key != "type"}
+    allowed = {entry.name for entry in fields(types[name])}
+    unknown = sorted(set(values) - allowed)
     if unknown:
         raise InputError(f"The configuration's {name} has unknown fields: {', '.join(unknown)}.")
-    hints = get_type_hints(known[name])
-    for key, value in given.items():
+    hints = get_type_hints(types[name])
+    for key, value in values.items():
         if not _fits(value, hints[key]):
             raise InputError(f"The configuration's {name} cannot have {key} = {str(value)[:60]}.")
     try:
-        return known[name](**given)
+        return types[name](**values)
     except (TypeError, ValueError) as error:
         raise InputError(f"The configuration's {name} cannot be made: {error}") from error
 
@@ -96,11 +96,11 @@ def _fits(value: Any, annotation: Any) -> bool:
     if origin in (Union, UnionType):
         return any(_fits(value, part) for part in parts)
     if origin is tuple:
-        wanted = parts[:1] * len(value) if isinstance(value, tuple) and parts[1:] == (Ellipsis,) else parts
+        kinds = parts[:1] * len(value) if isinstance(value, tuple) and parts[1:] == (Ellipsis,) else parts
         return (
             isinstance(value, tuple)
-            and len(value) == len(wanted)
-            and all(_fits(entry, kind) for entry, kind in zip(value, wanted, strict=True))
+            and len(value) == len(kinds)
+            and all(_fits(entry, kind) for entry, kind in zip(value, kinds, strict=True))
         )
     if annotation is float:
         return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -75,8 +75,8 @@ class NetworkPass:
         """
         return self._graph(step, self.features.scaled(step, accelerations)[0])
 
-    def _graph(self, step: TimeStep, made: Mapping[str, Tensor]) -> Graph:
-        extra = {name: value.to(self.device) for name, value in made.items()}
+    def _graph(self, step: TimeStep, features: Mapping[str, Tensor]) -> Graph:
+        extra = {name: value.to(self.device) for name, value in features.items()}
         state = replace(
             step.state,
             positions=step.state.positions.to(self.device),
@@ -92,9 +92,9 @@ class NetworkPass:
             return collider
         if self._colliders is None or self._colliders[0] is not collider.colliders:
             self._colliders = collider.colliders, collider.colliders.to(self.device)
-        moved = self._colliders[1]
+        colliders = self._colliders[1]
         poses = (collider.previous, collider.now, collider.following)
-        return ColliderFrame(*(moved.pose(pose.positions.to(self.device)) for pose in poses))
+        return ColliderFrame(*(colliders.pose(pose.positions.to(self.device)) for pose in poses))
 
 
 def local_origins(collider: ColliderFrame, worlds: int) -> Tensor:
@@ -135,12 +135,12 @@ class DescentFeature:
         return strain * torch.where(size > 1e-6, torch.log1p(size) / size.clamp_min(1e-6), 1.0)
 
     def _descent(self, step: TimeStep) -> JacobiDescent:
-        dt, made = step.inertial_dt, self._made
+        dt, memory = step.inertial_dt, self._made
         # One for each vertex is of its step alone.
-        same = made is not None and (made[1] is dt or (isinstance(dt, float) and made[1] == dt))
-        if made is None or made[0] is not step.garments or not same:
-            made = self._made = step.garments, dt, JacobiDescent(step.garments, dt)
-        return made[2]
+        same = memory is not None and (memory[1] is dt or (isinstance(dt, float) and memory[1] == dt))
+        if memory is None or memory[0] is not step.garments or not same:
+            memory = self._made = step.garments, dt, JacobiDescent(step.garments, dt)
+        return memory[2]
 
 
 class StepFeatures:

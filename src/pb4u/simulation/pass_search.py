@@ -84,10 +84,10 @@ def _lengths(
     curvature = by_world(torch.einsum("ivc,jvc->ijv", directions, changes))
     slope = by_world(-torch.einsum("ivc,vc->iv", directions, gradient))
     best = _newton_lengths(0.5 * (curvature + curvature.mT), slope).T
-    whole = torch.zeros_like(best)
-    whole[0] = 1.0
+    full = torch.zeros_like(best)
+    full[0] = 1.0
     # Cloth buckles and skin is met on the way, so that the model can be wrong; half way is often still better.
-    choices = torch.stack([whole, best, 0.5 * (whole + best)])
+    choices = torch.stack([full, best, 0.5 * (full + best)])
     shorter = torch.stack([_moved(step, x, directions, lengths) for lengths in choices[1:]])
     energies = torch.cat([at_whole[None], frozen.energies_of_worlds(shorter)])
     lowest, chosen = energies.nan_to_num(nan=torch.inf).min(0)
@@ -124,9 +124,9 @@ def _newton_lengths(curvature: Tensor, slope: Tensor) -> Tensor:
 
 
 def eigenvectors(matrices: Tensor) -> tuple[Tensor, Tensor]:
-    """Eigenvalues (worlds, n) and eigenvectors, the columns of (worlds, n, n), of symmetric ones of one or two rows.
+    """Eigenvalues (worlds, n) and eigenvectors, the columns of (worlds, n, n), of symmetric 1x1 or 2x2 matrices.
 
-    In closed form: a library's solver makes an accelerator wait for its verdict.
+    In closed form: the solvers of libraries synchronise a GPU.
 
     Args:
         matrices: (worlds, n, n) of any unit.

@@ -138,9 +138,9 @@ class SolverRefinement:
             state: at its end.
             self_contact: keeps cloth from passing through bodies; None where it may.
         """
-        own = self.potential.self_contact
-        reached = past_bodies(self_contact, step, state, apart=own is not None)
-        felt = own is not None and own.feels_bodies
+        contact = self.potential.self_contact
+        reached = past_bodies(self_contact, step, state, apart=contact is not None)
+        felt = contact is not None and contact.feels_bodies
         aside = (reached.positions - state.positions).norm(dim=1)
         least = (_OF_AN_EDGE * step.garments.vertex_edge_lengths).clamp_max(_TURNED_ASIDE)
         if not felt or not bool((aside > least).any()):
@@ -278,41 +278,41 @@ def _are_failed(step: TimeStep, x: Tensor) -> Tensor:
     return face_strains(x, garments.faces, garments.inverse_rest_shape) > _FAILED_STRAIN
 
 
-def collision_free_move(self_contact: CollisionFree | None, step: TimeStep, before: State, wanted: State) -> State:
-    """State as far from `before` towards `wanted` as cloth can move without passing through cloth; its velocities fit.
+def collision_free_move(self_contact: CollisionFree | None, step: TimeStep, before: State, target: State) -> State:
+    """State as far from `before` towards `target` as cloth can move without passing through cloth; its velocities fit.
 
     Args:
         self_contact: keeps cloth from passing through cloth; None where it may.
         step: the time step.
         before: state that crosses nowhere.
-        wanted: state at the end of the step.
+        target: state at the end of the step.
     """
     if self_contact is None:
-        return wanted
-    positions, _ = self_contact.collision_free_move(step.garments, before.positions, wanted.positions)
-    return _moved_to(positions, wanted, step)
+        return target
+    positions, _ = self_contact.collision_free_move(step.garments, before.positions, target.positions)
+    return _moved_to(positions, target, step)
 
 
-def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: State, *, apart: bool) -> State:
-    """State as far from the step's start towards `wanted` as cloth can move past the moving bodies; its velocities fit.
+def past_bodies(self_contact: CollisionFree | None, step: TimeStep, target: State, *, apart: bool) -> State:
+    """State as far from the step's start towards `target` as cloth can move past the moving bodies; its velocities fit.
 
     Args:
         self_contact: keeps cloth from passing through bodies; None where it may.
         step: the time step.
-        wanted: state at the end of the step.
+        target: state at the end of the step.
         apart: whether no move that led there from the step's start carried cloth through cloth.
     """
     if self_contact is None or not self_contact.feels_bodies or step.bodies is None or step.obstacle is None:
-        return wanted
+        return target
     positions, obstacle = self_contact.collision_free_move(
-        step.garments, step.state.positions, wanted.positions, obstacle=step.obstacle, apart=apart
+        step.garments, step.state.positions, target.positions, obstacle=step.obstacle, apart=apart
     )
     if obstacle is not None:
         # What they were not through, nor left no room, need not be looked for again.
         obstacle.reached(step.garments, step.bodies.following, positions)
-    return _moved_to(positions, wanted, step)
+    return _moved_to(positions, target, step)
 
 
-def _moved_to(positions: Tensor, wanted: State, step: TimeStep) -> State:
-    """`wanted` at other positions, with the velocities that the difference takes away."""
-    return wanted if positions is wanted.positions else step.turned_aside(wanted, positions)
+def _moved_to(positions: Tensor, target: State, step: TimeStep) -> State:
+    """`target` at other positions, with the velocities that the difference takes away."""
+    return target if positions is target.positions else step.turned_aside(target, positions)

@@ -150,8 +150,8 @@ def roll_out(
                 seen(frame)
     except KeyboardInterrupt as error:
         if rows and interrupted is not None:
-            kept = Trajectory.collect(header, rows).save(interrupted)
-            raise Interrupted(kept_sentence(len(rows), kept), getattr(error, "signal", 2)) from error
+            rescue = Trajectory.collect(header, rows).save(interrupted)
+            raise Interrupted(kept_sentence(len(rows), rescue), getattr(error, "signal", 2)) from error
         raise
     if not rows:
         raise record.lost_early()
@@ -172,17 +172,17 @@ def _untangled(trajectory: Trajectory, scene: Scene) -> Trajectory:
 
     Frames without crossings stay as they are; a warning counts those that cannot be untangled, which stay too.
     """
-    garments = [worn.garment for worn in scene.garments]
-    positions, left = np.array(trajectory.positions), list[int]()
+    garments = [dressed.garment for dressed in scene.garments]
+    positions, hits = np.array(trajectory.positions), list[int]()
     for frame in positions:
         if pairs := len(self_crossings(frame, trajectory.faces, sharing=True)):
             try:
                 frame[:] = untangled_start(garments, frame)
             except InputError:
-                left.append(pairs)
-    if left:
+                hits.append(pairs)
+    if hits:
         warn(
-            f"Between simulated frames cloth crosses cloth in {len(left)} of {len(positions)} frames, in {sum(left)} "
+            f"Between simulated frames cloth crosses cloth in {len(hits)} of {len(positions)} frames, in {sum(hits)} "
             f"pairs of triangles, and cannot be untangled; --fps {scene.fps:g} writes the frames that were simulated."
         )
     return replace(trajectory, positions=positions)

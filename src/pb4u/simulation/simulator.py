@@ -188,7 +188,7 @@ class Simulator(ABC):
         Args:
             scene: the scene.
         """
-        garments = [worn.garment for worn in scene.garments]
+        garments = [dressed.garment for dressed in scene.garments]
         edges = sum(len(garment.edge_lengths) for garment in garments)
         shape = scene.labels.get("body_shape")
         metadata = {
@@ -221,7 +221,7 @@ class SkinningSimulator(Simulator):
         previous = None
         for start in range(0, scene.total_frames, _CHUNK):
             stop = min(start + _CHUNK, scene.total_frames)
-            block = torch.cat([worn.placement.positions(start, stop) for worn in scene.garments], dim=1)
+            block = torch.cat([dressed.placement.positions(start, stop) for dressed in scene.garments], dim=1)
             for offset, positions in enumerate(block):
                 velocities = (positions - (positions if previous is None else previous)) / scene.dt
                 previous = positions

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from pb4u.collision.rooms import Rooms
+from pb4u.collision.capacities import Capacities
 from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep, integrate, require_finite
@@ -122,13 +122,13 @@ def take(step: TimeStep, method: StepMethod, last_move: Tensor | None = None) ->
                 # What cloth around it kept inside the body is pushed out together with that cloth.
                 state = refinement.respond_with_cloth(step, state, contact)
         # Between vertices too no face or edge of a body comes through.
-        kept = (
+        outside = (
             past_bodies(cloth, step, state, apart=True)
             if refinement is None
             else refinement.pressed_past_bodies(step, state, cloth)
         )
         # Where one is through cloth already, no energy leads it back.
-        after = kept if contact is None else contact.cleared(step, kept, cloth)
+        after = outside if contact is None else contact.cleared(step, outside, cloth)
         return Taken(replace(after, load=load), prediction.last_move)
 
 
@@ -150,7 +150,7 @@ class Prediction:
 
 
 def predictions(
-    step: TimeStep, method: StepMethod, last_move: Tensor | None = None, rooms: Rooms | None = None
+    step: TimeStep, method: StepMethod, last_move: Tensor | None = None, capacities: Capacities | None = None
 ) -> Iterator[Prediction]:
     """Where the start of `step` leads, and each pass of the network after it.
 
@@ -161,7 +161,7 @@ def predictions(
         step: that is taken.
         method: gives the start and the network.
         last_move: what `take` gave with the state that the step starts from.
-        rooms: of a step that waits for no decision: passes that are not worth taking are computed, and left out.
+        capacities: of a step that waits for no decision: passes that are not worth taking are computed, and left out.
     """
     # From free flight, or part of the way that the body moves: (vertices, 3) [m per step^2].
     accelerations = start_accelerations(method.start, step)
@@ -171,17 +171,17 @@ def predictions(
     if network is None:
         return
     most = network.passes + network.further
-    made = most if rooms is None else rooms.repeats("passes", most)
+    count = most if capacities is None else capacities.repeats("passes", most)
     worth: list[Tensor] = []
-    for number in range(min(made + 1, most)):
+    for number in range(min(count + 1, most)):
         if number >= network.passes:
             worth.append(_is_worth_another(step, decrease, worth))
-            if rooms is None and not bool(worth[-1].any()):
+            if capacities is None and not bool(worth[-1].any()):
                 return
-        if number == made:
+        if number == count:
             break
         reached = accelerations.detach()
-        if rooms is None and not bool(torch.isfinite(reached).all()):
+        if capacities is None and not bool(torch.isfinite(reached).all()):
             return
         move = network.correction(step, reached)
         if search is not None:
@@ -192,10 +192,10 @@ def predictions(
                 goes_on = worth[-1][step.garments.vertex_world, None]
                 move, last_move = torch.where(goes_on, move, 0.0), torch.where(goes_on, last_move, before)
         accelerations = reached + move
-        told = worth[-1] if worth and rooms is not None else None
-        yield Prediction(integrate(step, accelerations), last_move, decrease, told)
-    if rooms is not None and network.further:
-        rooms.note("passes", network.passes + torch.stack(worth).any(1).sum())
+        is_worth = worth[-1] if worth and capacities is not None else None
+        yield Prediction(integrate(step, accelerations), last_move, decrease, is_worth)
+    if capacities is not None and network.further:
+        capacities.note("passes", network.passes + torch.stack(worth).any(1).sum())
 
 
 def _is_worth_another(step: TimeStep, decrease: Tensor | None, worth: list[Tensor]) -> Tensor:

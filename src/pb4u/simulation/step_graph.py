@@ -69,18 +69,18 @@ class StepGraph:
         self._pool = torch.cuda.graph_pool_handle() if replays and torch.cuda.is_available() else None
 
     def take(self, begun: Taken) -> tuple[Taken, tuple[str, ...], Tensor]:
-        """What comes after `begun`, and the searches and the room that each wanted, as `Rooms.taken` gives them.
+        """What comes after `begun`, and the searches and the room that each wanted, as `Capacities.taken` gives them.
 
         Args:
             begun: at the start of the step.
         """
-        rooms, last = self.timeline.colliders.rooms, begun.last_move
-        assert rooms is not None
+        capacities, last = self.timeline.colliders.capacities, begun.last_move
+        assert capacities is not None
         self._step = self.timeline.step_from(begun.state)
-        known = self._graphs.setdefault((last is None, *sorted(rooms.sizes.items())), _Graph())
-        known.seen += 1
-        replayed = self._replayed(known, last) if self.replays and known.seen > 1 else None
-        if replayed is None or known.seen == 3:
+        graph = self._graphs.setdefault((last is None, *sorted(capacities.sizes.items())), _Graph())
+        graph.seen += 1
+        replayed = self._replayed(graph, last) if self.replays and graph.seen > 1 else None
+        if replayed is None or graph.seen == 3:
             plain = self._outputs(self._step, last)
             if replayed is not None and not all(
                 torch.allclose(one, other, rtol=0.0, atol=_SAME)
@@ -88,29 +88,29 @@ class StepGraph:
             ):
                 self.replays = False
             replayed = plain
-        positions, velocities, wanted, *moves = replayed
-        return Taken(State(positions, velocities, begun.state.frame + 1), *moves), self._names, wanted
+        positions, velocities, sizes, *moves = replayed
+        return Taken(State(positions, velocities, begun.state.frame + 1), *moves), self._names, sizes
 
-    def _replayed(self, known: _Graph, last: Tensor | None) -> Outputs | None:
+    def _replayed(self, graph: _Graph, last: Tensor | None) -> Outputs | None:
         """Outputs of a replay; None where the graph is captured only now, or cannot be."""
         step = self._step
         assert step.pin_positions is not None
         assert step.skinned_motion is not None
         poses = (step.collider.previous, step.collider.now, step.collider.following)
-        given = [step.state.positions, step.state.velocities, step.pin_positions, step.skinned_motion]
-        given += [*(pose.positions for pose in poses), *([] if last is None else [last])]
-        if known.inputs is None:
-            known.inputs = [values.clone() for values in given]
+        inputs = [step.state.positions, step.state.velocities, step.pin_positions, step.skinned_motion]
+        inputs += [*(pose.positions for pose in poses), *([] if last is None else [last])]
+        if graph.inputs is None:
+            graph.inputs = [values.clone() for values in inputs]
             try:
-                known.replay = captured(self._computed, known.inputs, self._pool)
+                graph.replay = captured(self._computed, graph.inputs, self._pool)
             except RuntimeError:
                 # An operation that cannot be captured.
                 self.replays = False
             return None
-        for mine, values in zip(known.inputs, given, strict=True):
+        for mine, values in zip(graph.inputs, inputs, strict=True):
             mine.copy_(values)
-        assert known.replay is not None
-        return tuple(values.clone() for values in known.replay())
+        assert graph.replay is not None
+        return tuple(values.clone() for values in graph.replay())
 
     def _computed(self, x: Tensor, v: Tensor, pins: Tensor, motion: Tensor, *more: Tensor) -> Outputs:
         """Outputs as a function of tensors alone."""
@@ -120,10 +120,10 @@ class StepGraph:
         return self._outputs(step, *more[3:])
 
     def _outputs(self, step: TimeStep, last_move: Tensor | None = None) -> Outputs:
-        rooms = self.timeline.colliders.rooms
-        assert rooms is not None
+        capacities = self.timeline.colliders.capacities
+        assert capacities is not None
         with torch.no_grad():
-            *_, prediction = predictions(step, self.method, last_move, rooms)
-        self._names, wanted = rooms.taken()
+            *_, prediction = predictions(step, self.method, last_move, capacities)
+        self._names, sizes = capacities.taken()
         after, move = prediction.state, prediction.last_move
-        return (after.positions, after.velocities, wanted, *([] if move is None else [move]))
+        return (after.positions, after.velocities, sizes, *([] if move is None else [move]))

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pb4u.collision.rooms import Rooms
+from pb4u.collision.capacities import Capacities
 from pb4u.errors import InputError, InputWarning
 from pb4u.network.acceleration_model import require_propagation_steps
 from pb4u.network.graph.features import ADVANCE
@@ -94,8 +94,8 @@ class StepwiseSimulator(Simulator):
         timeline = self.timeline(scene)
         method = self.method(timeline, record)
 
-        def written(made: tuple[State, ColliderPose]) -> State:
-            state, pose = made
+        def written(result: tuple[State, ColliderPose]) -> State:
+            state, pose = result
             if state.frame < scene.lead_in or method.contact is None:
                 return state
             # As it is written: moved off the skin, as far as cloth can go there.
@@ -108,14 +108,14 @@ class StepwiseSimulator(Simulator):
         self, scene: Scene, timeline: Timeline, method: StepMethod, record: RunRecord
     ) -> Iterator[tuple[State, ColliderPose]]:
         """The states of a run with the bodies of each frame; where a state is not finite, it adds a note and ends."""
-        made = 0
+        count = 0
         try:
-            moved = self._moved(timeline, method, scene)
-            for state in islice(moved, scene.total_frames):
+            states = self._moved(timeline, method, scene)
+            for state in islice(states, scene.total_frames):
                 yield require_finite(state), timeline.pose(state.frame).apart()
-                made += 1
+                count += 1
         except DivergedError:
-            record.failed_at = made - scene.lead_in
+            record.failed_at = count - scene.lead_in
 
     def _moved(self, timeline: Timeline, method: StepMethod, scene: Scene) -> Iterator[State]:
         for taken in self.first_frame.states(timeline, method):
@@ -285,11 +285,11 @@ class NetworkSimulator(StepwiseSimulator):
         if not self.on_card:
             return host
         require_memory("the scene", *self._vertices_and_bytes(scenes), self.device)
-        return host.to(self.device, Rooms())
+        return host.to(self.device, Capacities())
 
     def _vertices_and_bytes(self, scenes: Sequence[Scene]) -> tuple[int, int]:
         """Vertices of all garments, those of smaller worlds filled up, and the bytes that a card takes for each."""
-        vertices = max(sum(len(worn.garment.vertices) for worn in scene.garments) for scene in scenes)
+        vertices = max(sum(len(dressed.garment.vertices) for dressed in scene.garments) for scene in scenes)
         faces = max(sum(len(body.faces) for body in scene.colliders) for scene in scenes)
         return len(scenes) * vertices, bytes_a_vertex(self.checkpoint.model.network, faces)
 
@@ -307,8 +307,8 @@ class NetworkSimulator(StepwiseSimulator):
         packs: list[list[int]] = []
         for number, scene in enumerate(scenes):
             grown = [*packs[-1], number] if packs else [number]
-            vertices, each = self._vertices_and_bytes([scenes[k] for k in grown])
-            if packs and shared(scene) == shared(scenes[grown[0]]) and 2 * vertices * each <= free:
+            vertices, bytes_each = self._vertices_and_bytes([scenes[k] for k in grown])
+            if packs and shared(scene) == shared(scenes[grown[0]]) and 2 * vertices * bytes_each <= free:
                 packs[-1] = grown
             else:
                 packs.append([number])
@@ -328,14 +328,14 @@ class NetworkSimulator(StepwiseSimulator):
             warnings.simplefilter("ignore", InputWarning)
             timeline = self.timeline(*scenes)
             method = self.method(timeline, RunRecord())
-        made: list[tuple[list[State], RunRecord]] = [([], RunRecord()) for _ in scenes]
+        results: list[tuple[list[State], RunRecord]] = [([], RunRecord()) for _ in scenes]
         going = set(range(len(scenes)))
         began = time.perf_counter()
         for state in self._moved(timeline, method, max(scenes, key=lambda scene: scene.total_frames)):
             x, v, seconds = state.positions.cpu(), state.velocities.cpu(), time.perf_counter() - began
             share = seconds / len(going)
             for world in sorted(going):
-                (states, record), rows = made[world], timeline.garments.world_vertices[world]
+                (states, record), rows = results[world], timeline.garments.world_vertices[world]
                 try:
                     states.append(require_finite(State(x[rows], v[rows], state.frame)))
                     record.step_seconds.append(share)
@@ -346,7 +346,7 @@ class NetworkSimulator(StepwiseSimulator):
             if not going:
                 break
             began = time.perf_counter()
-        return made
+        return results
 
     def warn_of(self, scene: Scene) -> None:
         """Warn of each garment that the network was not trained for.
@@ -354,18 +354,18 @@ class NetworkSimulator(StepwiseSimulator):
         Args:
             scene: what is simulated.
         """
-        for worn in scene.garments:
-            ruled = self.checkpoint.model.network.propagation_steps(worn.garment.mean_edge_length)
-            self.checkpoint.warn_of(worn.garment, self.override if ruled and self.override else ruled)
+        for dressed in scene.garments:
+            ruled = self.checkpoint.model.network.propagation_steps(dressed.garment.mean_edge_length)
+            self.checkpoint.warn_of(dressed.garment, self.override if ruled and self.override else ruled)
 
     def _moved(self, timeline: Timeline, method: StepMethod, scene: Scene) -> Iterator[State]:
         if not self.on_card:
             yield from super()._moved(timeline, method, scene)
             return
-        rooms = timeline.colliders.rooms
-        assert rooms is not None
+        capacities = timeline.colliders.capacities
+        assert capacities is not None
         first = self.first_frame.start(timeline, method)
-        while rooms.grow(*rooms.taken()):
+        while capacities.grow(*capacities.taken()):
             # Searches were short of room.
             first = self.first_frame.start(timeline, method)
         yield first.state
@@ -394,7 +394,7 @@ class NetworkSimulator(StepwiseSimulator):
             return None
         if self.override is not None:
             return self.override
-        return max(network.propagation_steps(worn.garment.mean_edge_length) for worn in scene.garments)
+        return max(network.propagation_steps(dressed.garment.mean_edge_length) for dressed in scene.garments)
 
     def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
         worlds = timeline.garments.worlds

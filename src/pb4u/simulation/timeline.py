@@ -9,7 +9,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from pb4u.collision.rooms import Rooms
+from pb4u.collision.capacities import Capacities
 from pb4u.environment import Environment
 from pb4u.garment.garment import Garment
 from pb4u.physics.integrator import IMPLICIT_EULER, Integrator
@@ -134,9 +134,9 @@ class Timeline:
             opens_folds: whether deep folds of the bodies are opened, as contact has them; else they are as posed.
             integrator: of the steps.
         """
-        worn = [(world, each) for world, scene in enumerate(scenes) for each in scene.garments]
+        dressed = [(world, garment) for world, scene in enumerate(scenes) for garment in scene.garments]
         bodies = [(world, body) for world, scene in enumerate(scenes) for body in scene.colliders]
-        garments = pack([each.garment for _, each in worn], dtype, device, [world for world, _ in worn])
+        garments = pack([garment.garment for _, garment in dressed], dtype, device, [world for world, _ in dressed])
         colliders = pack_colliders(
             [torch.as_tensor(body.faces, device=device) for _, body in bodies],
             [torch.as_tensor(body.contact, device=device) for _, body in bodies],
@@ -151,7 +151,7 @@ class Timeline:
             return BlockedFrames(block, max(scene.total_frames for scene in scenes))
 
         body = frames([(world, (SoftFolds(body) if opens_folds else body).positions) for world, body in bodies])
-        skinned = frames([(world, each.placement.positions) for world, each in worn])
+        skinned = frames([(world, garment.placement.positions) for world, garment in dressed])
         return Timeline(garments, colliders, body, skinned, scenes[0].dt, scenes[0].environment, integrator)
 
     def with_garments(self, garments: Sequence[Garment]) -> Timeline:
@@ -160,19 +160,19 @@ class Timeline:
         Args:
             garments: one for each of its own, in their order.
         """
-        own = self.garments
-        packed = pack(garments, own.dtype, own.device, own.worlds)
+        before = self.garments
+        packed = pack(garments, before.dtype, before.device, before.worlds)
         around = self.dt, self.environment, self.integrator
         other = Timeline(packed, self.colliders, self._body, self._skinned, *around)
         other._poses = self._poses
         return other
 
-    def to(self, device: torch.device, rooms: Rooms) -> Timeline:
+    def to(self, device: torch.device, capacities: Capacities) -> Timeline:
         """This timeline with all that a step reads on `device`.
 
         Args:
             device: of the copy.
-            rooms: fixed numbers of what the searches of its steps find.
+            capacities: fixed numbers of what the searches of its steps find.
         """
         first = self.pose(0)
         self.colliders.surface_groups(self.garments.world_count, first.positions)
@@ -184,7 +184,7 @@ class Timeline:
 
             return BlockedFrames(block, len(frames))
 
-        garments, colliders = self.garments.to(device), self.colliders.to(device, rooms)
+        garments, colliders = self.garments.to(device), self.colliders.to(device, capacities)
         around = self.dt, self.environment, self.integrator
         return Timeline(garments, colliders, moved(self._body), moved(self._skinned), *around)
 

@@ -59,20 +59,20 @@ class Hand:
         return Hand(torch.cat([rows.new_tensor([nearest]), rows]), finite(point))
 
     def pull(self, positions: Tensor) -> Pull:
-        """Its pull over a step: all that it holds moves alike, as far as it reaches.
+        """Pull of the hand over a step: all vertices that it holds move alike, `REACH` at most.
 
         Args:
             positions: (vertices, 3) [m] at the start of the step.
         """
-        held = positions[self.vertices]
-        way = held.new_tensor(self.place) - held[0]
+        places = positions[self.vertices]
+        way = places.new_tensor(self.place) - places[0]
         way = way * (REACH / way.norm().clamp_min(REACH))
-        return Pull(self.vertices, held + way, FIRMNESS / len(held))
+        return Pull(self.vertices, places + way, FIRMNESS / len(places))
 
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """What is done over a step; it is replaced as a whole, and a step reads it once.
+    """A hand and a wind that act during a step; replaced as a whole, and read once a step.
 
     Args:
         hand: that holds the cloth, or None.
@@ -83,7 +83,7 @@ class Touch:
     environment: Environment | None = None
 
     def on(self, step: TimeStep) -> TimeStep:
-        """The step with what is done over it.
+        """The step with the hand's pull and the wind.
 
         Args:
             step: the time step.

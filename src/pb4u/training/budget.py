@@ -149,10 +149,10 @@ class Counters:
             InputError: it is something else.
         """
         try:
-            given = dict(record)
-            guard, best = ExplosionGuard(**given.pop("guard")), given.pop("best")
+            values = dict(record)
+            guard, best = ExplosionGuard(**values.pop("guard")), values.pop("best")
             if best is not None and "excess_height" not in best:
                 best = None  # of earlier versions, by energy: nothing of now is compared with it
-            return Counters(**given, guard=guard, best=None if best is None else Score(**best))
+            return Counters(**values, guard=guard, best=None if best is None else Score(**best))
         except (KeyError, TypeError) as error:
             raise InputError(f"The checkpoint does not say how far the training was: {error}.") from error

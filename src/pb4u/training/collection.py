@@ -48,7 +48,7 @@ def collect(
     if all(_is_file(name) for name in selection.garments):
         bodies = bodies[:1]
     total = len(bodies) * (len(selection.garments) * len(selection.triangles) + 1)
-    done = 0
+    count = 0
     recorded = {} if recordings is None else _recorded(recordings)
     outfits, clips = [], []
     for index, body in enumerate(bodies):
@@ -58,13 +58,13 @@ def collect(
             for triangles in selection.triangles:
                 garment = _garment(selection, name, body, triangles, (seed, 19, index, which, triangles))
                 outfits.append(Outfit(garment, garment_weights(garment, body), index))
-                done += 1
-                progress(done, total)
+                count += 1
+                progress(count, total)
         clips += _built_in_clips(selection, body, index, rng)
         for split, motions in recorded.items():
             clips += [_clip(motion, motion.name, split, body, index, selection.fps) for motion in motions]
-        done += 1
-        progress(done, total)
+        count += 1
+        progress(count, total)
     return TrainingData(tuple(bodies), tuple(outfits), tuple(clips))
 
 
@@ -131,32 +131,32 @@ def _recorded(folder: Path) -> dict[str, list[Motion]]:
 
     Of two or more one does at least.
     """
-    found: dict[str, list[Motion]] = {}
+    motions: dict[str, list[Motion]] = {}
     trials = {trial: split for split in ("train", "validation") for trial in RECORDINGS[split]}
     missing = dict(trials)
-    named = [file for file in sorted(folder.rglob("*")) if file.suffix.lower() in _OTHER_RECORDINGS]
-    others = [file for file in named if not _is_shape(file)]
-    if len(others) < len(named):
-        told = "files hold" if len(named) - len(others) > 1 else "file holds"
-        warn(f"{len(named) - len(others)} {told} no poses, as AMASS's shapes, and stay out of the training.")
+    files = [file for file in sorted(folder.rglob("*")) if file.suffix.lower() in _OTHER_RECORDINGS]
+    others = [file for file in files if not _is_shape(file)]
+    if len(others) < len(files):
+        words = "files hold" if len(files) - len(others) > 1 else "file holds"
+        warn(f"{len(files) - len(others)} {words} no poses, as AMASS's shapes, and stay out of the training.")
     for trial, split in trials.items():
         file = folder / trial.split("_")[0] / f"{trial}.amc"
         if file.is_file():
-            found.setdefault(split, []).append(load_motion(file))
+            motions.setdefault(split, []).append(load_motion(file))
             del missing[trial]
     for place, file in enumerate(others, start=1):
-        found.setdefault("train" if place % 10 else "validation", []).append(load_motion(file))
-    if "train" not in found:
+        motions.setdefault("train" if place % 10 else "validation", []).append(load_motion(file))
+    if "train" not in motions:
         first = next(iter(trials))
         raise InputError(
-            f"The folder {folder} holds no file of {', '.join(_OTHER_RECORDINGS)}, and none of the recordings of the "
-            f"catalogue, such as {first.split('_')[0]}/{first}.amc."
+            f"The folder {folder} holds neither a {', '.join(_OTHER_RECORDINGS)} file nor a CMU recording, such as "
+            f"{first.split('_')[0]}/{first}.amc."
         )
-    if "validation" not in found and len(found["train"]) > 1:
-        found["validation"] = [found["train"].pop()]
+    if "validation" not in motions and len(motions["train"]) > 1:
+        motions["validation"] = [motions["train"].pop()]
     if missing and not others:
         warn(f"{len(missing)} recordings of the catalogue are not in {folder}.")
-    return found
+    return motions
 
 
 def _is_shape(file: Path) -> bool:

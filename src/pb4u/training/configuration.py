@@ -204,11 +204,11 @@ def training_from_json(record: Any) -> TrainingConfiguration:
         InputError: it is no configuration of a training.
     """
     try:
-        given = dict(record)
-        given["network"] = configuration_from_json(given["network"])
+        values = dict(record)
+        values["network"] = configuration_from_json(values["network"])
         for name, kind in _PARTS.items():
-            given[name] = kind(**{key: _tuples(value) for key, value in given[name].items()})
-        return TrainingConfiguration(**given)
+            values[name] = kind(**{key: _tuples(value) for key, value in values[name].items()})
+        return TrainingConfiguration(**values)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"The configuration of the training cannot be read: {error}") from error
 
@@ -249,7 +249,7 @@ def _replaced(record: Any, key: str, path: list[str], text: str) -> Any:
     name, rest = path[0], path[1:]
     names = [entry.name for entry in fields(record)]
     if name not in names:
-        raise unknown_name("setting", key, [key.removesuffix(name) + known for known in names])
+        raise unknown_name("setting", key, [key.removesuffix(name) + choice for choice in names])
     value = getattr(record, name)
     if is_dataclass(value):
         if not rest:
@@ -281,8 +281,8 @@ def _parsed(key: str, present: Any, text: str) -> Any:
         elif not isinstance(value, tuple):
             value = (value,)
         # Empty tuples by default are of numbers.
-        wanted = {type(entry) for entry in present} or {float}
-        if all(_fits(entry, wanted) for entry in value):
+        types = {type(entry) for entry in present} or {float}
+        if all(_fits(entry, types) for entry in value):
             return value
     elif isinstance(value, int) and not isinstance(value, bool) and isinstance(present, float):
         return float(value)
@@ -291,8 +291,8 @@ def _parsed(key: str, present: Any, text: str) -> Any:
     raise InputError(f"{key} is {present!r} by default; {text!r} is of another kind.")
 
 
-def _fits(value: Any, wanted: set[type]) -> bool:
-    return type(value) in wanted or (isinstance(value, int) and not isinstance(value, bool) and float in wanted)
+def _fits(value: Any, types: set[type]) -> bool:
+    return type(value) in types or (isinstance(value, int) and not isinstance(value, bool) and float in types)
 
 
 def _tuples(value: Any) -> Any:

@@ -46,9 +46,9 @@ class MovingAverage:
             module: with the same parameters.
         """
         for name, parameter in module.named_parameters():
-            own = parameter.detach().clone()
+            values = parameter.detach().clone()
             parameter.copy_(self.values[name])
-            self.values[name].copy_(own)
+            self.values[name].copy_(values)
 
 
 class Learner:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pb4u.collision.rooms import Rooms
+from pb4u.collision.capacities import Capacities
 from pb4u.training.budget import Counters
 from pb4u.training.journal import Journal
 from pb4u.training.lost_garment import GarmentWatch
@@ -56,30 +56,32 @@ class Outcome:
         return row[-3] > 0.0 or row[-2] > 0.0
 
 
-def note_outcomes(outcomes: Sequence[Outcome], rooms: Rooms | None, counters: Counters, journal: Journal) -> bool:
+def note_outcomes(
+    outcomes: Sequence[Outcome], capacities: Capacities | None, counters: Counters, journal: Journal
+) -> bool:
     """Look at the outcomes of steps, and note those that count; False where one is not finite.
 
     Args:
         outcomes: of the latest steps, in their order; one at least.
-        rooms: of the searches on an accelerator, which are made wider where one was short; None on a processor.
+        capacities: of the searches on an accelerator, which are made wider where one was short; None on a processor.
         counters: where the training stands, all these steps counted; those that were left out are taken off.
         journal: log of the losses.
     """
     seen = torch.stack([outcome.values for outcome in outcomes])
-    if rooms is not None:
+    if capacities is not None:
         # All that the processor reads comes in one copy.
-        searches, wanted = rooms.taken()
-        read = torch.cat([seen.flatten().double(), wanted.double()]).cpu()
+        searches, sizes = capacities.taken()
+        read = torch.cat([seen.flatten().double(), sizes.double()]).cpu()
         seen = read[: seen.numel()].reshape(seen.shape)
-        rooms.grow(searches, read[seen.numel() :].to(torch.int64))
+        capacities.grow(searches, read[seen.numel() :].to(torch.int64))
     counters.step -= len(outcomes)
     for outcome, row in zip(outcomes, seen.tolist(), strict=True):
         if outcome.skipped(row):
             continue
         if not outcome.finite(row):
             return False
-        named, weight = dict(zip(outcome.names, row, strict=False)), outcome.settings["collision_weight"]
+        energies, weight = dict(zip(outcome.names, row, strict=False)), outcome.settings["collision_weight"]
         counters.step += 1
-        counters.guard = counters.guard.after(strain_energy(named, weight))
-        journal.add({**named, **outcome.settings}, comparable_total(named, weight))
+        counters.guard = counters.guard.after(strain_energy(energies, weight))
+        journal.add({**energies, **outcome.settings}, comparable_total(energies, weight))
     return True

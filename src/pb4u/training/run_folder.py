@@ -210,8 +210,8 @@ class RunFolder:
         Args:
             step: last step whose lines stay.
         """
-        kept = [line for line in self.metrics() if line.get("step", 0) <= step]
-        self._replace(METRICS, "".join(json.dumps(line) + "\n" for line in kept).encode())
+        lines = [line for line in self.metrics() if line.get("step", 0) <= step]
+        self._replace(METRICS, "".join(json.dumps(line) + "\n" for line in lines).encode())
 
     def forget_leftovers(self) -> None:
         """Delete files that a killed process had begun to write."""

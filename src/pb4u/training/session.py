@@ -68,8 +68,8 @@ def train(request: TrainingRequest) -> dict[str, Any]:
                 folder, configuration, budget, data = _opened(request)
         else:
             folder, configuration, budget, data = _created(request, *begun, mine)
-        with folder.held() if mine.leads else contextlib.nullcontext(), reporter() as told, stop_signals() as stopping:
-            trainer = Trainer(configuration, budget, data, mine, folder, told if mine.leads else _Silent(), stopping)
+        with folder.held() if mine.leads else contextlib.nullcontext(), reporter() as log, stop_signals() as stopping:
+            trainer = Trainer(configuration, budget, data, mine, folder, log if mine.leads else _Silent(), stopping)
             _restore(trainer, folder)
             if begun is None and (request.steps is not None or request.minutes is not None):
                 # A new budget has a schedule of its own, on which the validation may improve again.
@@ -115,11 +115,11 @@ def _configured(request: TrainingRequest) -> tuple[TrainingConfiguration, Budget
     return configuration, Budget(steps, request.minutes)
 
 
-def _refuse_another_network(begun: NetworkConfiguration, wanted: NetworkConfiguration) -> None:
+def _refuse_another_network(begun: NetworkConfiguration, config: NetworkConfiguration) -> None:
     """Refuse settings of a network that the weights of `begun` cannot take."""
     kind = type(begun)
     names = {field.name for field in fields(kind)}
-    if type(wanted) is not kind or any(getattr(begun, n) != getattr(wanted, n) for n in names - WITHOUT_WEIGHTS):
+    if type(config) is not kind or any(getattr(begun, n) != getattr(config, n) for n in names - WITHOUT_WEIGHTS):
         free = " and ".join(sorted(names & WITHOUT_WEIGHTS))
         raise InputError(f"--weights bring their own network: --set can change its {free} alone.")
 
@@ -212,12 +212,12 @@ def _licence(record: dict[str, Any], configuration: TrainingConfiguration) -> st
 
 
 def _restore(trainer: Trainer, folder: RunFolder) -> None:
-    found, record = folder.load_state(), folder.configuration()
+    state, record = folder.load_state(), folder.configuration()
     trainer.averages.licence, origin = _licence(record, trainer.configuration), record.get("origin")
     if origin is not None:
         trainer.averages.origin = training_record_from_json(origin["record"])
-    if found is not None:
-        trainer.resume(*found)
+    if state is not None:
+        trainer.resume(*state)
     elif origin is not None:
         trainer.begin_with(from_pretrained(origin["weights"]))
     if trainer.workers.leads:
@@ -255,12 +255,12 @@ class _Silent(Reporter):
 @contextmanager
 def stop_signals() -> Iterator[Callable[[], bool]]:
     """Function that says whether an interrupt or a request to end has come; a second interrupt has its usual effect."""
-    asked: list[int] = []
+    signals: list[int] = []
 
     def ask(number: int, _: FrameType | None) -> None:
-        if asked and number == signal.SIGINT:
+        if signals and number == signal.SIGINT:
             raise KeyboardInterrupt
-        asked.append(number)
+        signals.append(number)
 
     try:
         before = {number: signal.signal(number, ask) for number in STOPPING}
@@ -269,7 +269,7 @@ def stop_signals() -> Iterator[Callable[[], bool]]:
         yield lambda: False
         return
     try:
-        yield lambda: bool(asked)
+        yield lambda: bool(signals)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -102,7 +102,7 @@ class Trainer:
             configuration, data, self.learner, self.validation, workers, folder, self.journal
         )
         self.recovery = Recovery(self.learner, workers, folder, self.journal)
-        self.rooms = self.loader.wardrobe.rooms
+        self.capacities = self.loader.wardrobe.capacities
         self.outcomes: list[Outcome] = []
         self.latest_collision = torch.zeros(())
         self.began = time.monotonic()
@@ -113,7 +113,7 @@ class Trainer:
         Raises:
             InputError: a card has no room for a step.
         """
-        if self.rooms is not None:
+        if self.capacities is not None:
             self._require_memory()
         if self.counters.window == 0:
             self.gather_statistics()
@@ -135,11 +135,11 @@ class Trainer:
             if rounds == 1:  # the first one compiles
                 first, since = self.counters.step, time.monotonic()
             elif rounds == 2 and self.budget.steps is not None and self.counters.step > first:
-                each = (time.monotonic() - since) / (self.counters.step - first)
-                left = self.budget.steps - self.counters.step
-                if left * each > _WORTH_SAYING:
-                    whole = format_duration(left * each)
-                    self.journal.say(f"A step takes {each:.2g} s; the {left:,} that are left take about {whole}.")
+                pace = (time.monotonic() - since) / (self.counters.step - first)
+                rest = self.budget.steps - self.counters.step
+                if rest * pace > _WORTH_SAYING:
+                    time_left = format_duration(rest * pace)
+                    self.journal.say(f"A step takes {pace:.2g} s; the {rest:,} that are left take about {time_left}.")
             if end is RoundEnd.CAME_APART:
                 self.counters = self.recovery.roll_back(self.counters)
                 continue
@@ -160,9 +160,9 @@ class Trainer:
         garments, network = [outfit.garment for outfit in self.data.outfits], self.model.network
         depths = [network.propagation_steps(garment.mean_edge_length) for garment in garments]
         faces = max(len(body.faces) for body in self.data.bodies)
-        each = bytes_a_vertex(network, faces, max(self.configuration.most_propagation_steps, *depths))
+        bytes_each = bytes_a_vertex(network, faces, max(self.configuration.most_propagation_steps, *depths))
         most = len(self._indices(0)) * max(len(garment.vertices) for garment in garments)
-        require_memory("a step of training", most, each, self.workers.device)
+        require_memory("a step of training", most, bytes_each, self.workers.device)
 
     def _ending(self) -> str | None:
         """Why to end now, the same in every process; None to go on."""
@@ -206,7 +206,7 @@ class Trainer:
             rollout = self.begin(number, length=1, settle=bool(number % 2))
             step, network = rollout.next_step(), NetworkPass(self.network, rollout.prepared, rollout.features)
             graph = network.graph(step, start_accelerations(self.start, step))
-            while self.rooms is not None and self.rooms.grow(*self.rooms.taken()):
+            while self.capacities is not None and self.capacities.grow(*self.capacities.taken()):
                 graph = network.graph(step, start_accelerations(self.start, step))
             self.model.gather_statistics(graph, rollout.window.timeline.skinned_acceleration(1))
             self.counters.window += 1
@@ -242,16 +242,16 @@ class Trainer:
         length = self.configuration.curriculum.window_length(self.progress)
         together, network = self.configuration.interleaved, self.configuration.network
         if self.budget.steps is not None:
-            left = math.ceil((self.budget.steps - self.counters.step) / (network.passes + network.further_passes))
-            together = min(together, left)
-            length = min(length, math.ceil(left / together))
+            remaining = math.ceil((self.budget.steps - self.counters.step) / (network.passes + network.further_passes))
+            together = min(together, remaining)
+            length = min(length, math.ceil(remaining / together))
         first = self.counters.window
         rollouts = [self.begin(number, length) for number in range(first, first + together)]
         while rollouts:
             for rollout in rollouts:
                 if not self.advance(rollout):
                     return RoundEnd.CAME_APART
-            rollouts = [rollout for rollout in rollouts if rollout.left and not rollout.watch.seen_lost]
+            rollouts = [rollout for rollout in rollouts if rollout.steps_left and not rollout.watch.seen_lost]
             ending = self._ending() if rollouts else None
             if ending == "stopped":
                 return RoundEnd.STOPPED
@@ -265,7 +265,7 @@ class Trainer:
         Args:
             rollout: the window, and how far it has come; changed.
         """
-        taken = rollout.window.length - rollout.left
+        taken = rollout.window.length - rollout.steps_left
         steps = [
             self.sampler.propagation_steps(index, taken, ruled)
             for index, ruled in zip(self._indices(rollout.number), rollout.prepared.steps, strict=True)
@@ -274,23 +274,23 @@ class Trainer:
         passes, further = self.configuration.network.passes, self.configuration.network.further_passes
         network = NetworkPass(self.network, prepared, rollout.features, passes, nullcontext, further)
         method = StepMethod(self.start, network, search=self.search)
-        made = predictions(step, method, rollout.last_move, self.rooms)
+        passes_made = predictions(step, method, rollout.last_move, self.capacities)
         # The network has no part in the first, which the start alone leads to.
-        latest = next(made)
-        for latest in made:
+        latest = next(passes_made)
+        for latest in passes_made:
             if not self.learn(prepared, step, latest, rollout.watch):
                 return False
         after, rollout.last_move = latest.state, latest.last_move
         state = replace(after, positions=after.positions.detach(), velocities=after.velocities.detach())
         rollout.state = self.with_initial_velocity(rollout, state) if rollout.settles else state
-        rollout.settles, rollout.left = False, rollout.left - 1
+        rollout.settles, rollout.steps_left = False, rollout.steps_left - 1
         timeline, positions = rollout.window.timeline, rollout.state.positions
         strain = strain_percentile(timeline.garments, positions)
         drift = drift_from(timeline.skinned(rollout.state.frame), timeline.garments, positions)
         lost = rollout.watch.is_lost(strain, drift, self.latest_collision)
         # On an accelerator nothing more is learnt from them; the processor hears of it with the next line of the log.
-        if self.rooms is None and self.workers.agreed(bool(lost)):
-            rollout.left = 0
+        if self.capacities is None and self.workers.agreed(bool(lost)):
+            rollout.steps_left = 0
         return True
 
     def with_initial_velocity(self, rollout: Rollout, settled: State) -> State:
@@ -335,27 +335,27 @@ class Trainer:
         positions = torch.where(finite, prediction.state.positions, step.state.positions)
         energies = step_energies(step, positions, weight, self.configuration.inside_weight)
         further = further_losses(prepared, step, positions, self.progress)
-        each = torch.stack([energies.per_garment, *further.values()]).sum(0)
+        energy = torch.stack([energies.per_garment, *further.values()]).sum(0)
         if self.configuration.loss_weight == PROGRESS:
-            each = progress_weights(step.garments, prediction.decrease).to(each) * each
-        gradient = self.learner.gradient(each.mean())
+            energy = progress_weights(step.garments, prediction.decrease).to(energy) * energy
+        gradient = self.learner.gradient(energy.mean())
         terms = mean_energies(energies) | {name: value.mean() for name, value in further.items()}
         self.latest_collision = terms["collision"].detach().double() / weight
         none = finite.new_zeros(())
         idle = none if prediction.worth is None else ~prediction.worth.any()
-        lost = none if self.rooms is None else self.rooms.too_little()
-        if self.rooms is not None and watch is not None:
+        lost = none if self.capacities is None else self.capacities.too_little()
+        if self.capacities is not None and watch is not None:
             # What a search short of room gave is not worth going on from.
             watch.lost = lost = lost if watch.lost is None else lost | watch.lost
         flags = torch.stack([idle, lost, ~finite.all()]).to(positions)
         values = self.workers.mean(torch.cat([torch.stack([*(v.detach() for v in terms.values()), gradient]), flags]))
         outcome = Outcome((*terms, "gradient"), values, {"rate": rate, "collision_weight": weight}, watch)
-        if self.rooms is None and not outcome.finite(values.tolist()):
+        if self.capacities is None and not outcome.finite(values.tolist()):
             return False
         self.outcomes.append(outcome)
         self.counters.step += 1
-        self.learner.step(rate, self.counters.step, None if self.rooms is None else outcome.changes_nothing())
-        if self.rooms is not None and len(self.outcomes) < self.configuration.log_every:
+        self.learner.step(rate, self.counters.step, None if self.capacities is None else outcome.changes_nothing())
+        if self.capacities is not None and len(self.outcomes) < self.configuration.log_every:
             return True
         return self.look_at_outcomes()
 
@@ -364,7 +364,7 @@ class Trainer:
         outcomes, self.outcomes, before = self.outcomes, [], self.counters.step - len(self.outcomes)
         if not outcomes:
             return True
-        if not note_outcomes(outcomes, self.rooms, self.counters, self.journal):
+        if not note_outcomes(outcomes, self.capacities, self.counters, self.journal):
             return False
         if self._due(self.configuration.log_every, before):
             self._log()

@@ -92,9 +92,9 @@ class Validation:
         self.most_frames = configuration.validation_frames
         for outfit in _spread(data, configuration.validation_clips):
             body = data.outfits[outfit].body
-            own = [i for i, clip in enumerate(data.clips) if clip.body == body]
-            held_out = [i for i in own if data.clips[i].split == "validation"]
-            clips = held_out or own
+            clips_of_body = [i for i, clip in enumerate(data.clips) if clip.body == body]
+            held_out = [i for i in clips_of_body if data.clips[i].split == "validation"]
+            clips = held_out or clips_of_body
             longest = min(max(len(data.clips[i].poses) for i in clips), self.most_frames)
             clips = [i for i in clips if len(data.clips[i].poses) >= longest]
             self.samples.append(Sample(outfit, int(rng.choice(clips)), 0, MATERIALS["default"]))
@@ -149,32 +149,32 @@ class Validation:
         """Geometric mean of what `model` leaves of a step from each shared state [m]."""
         device, logarithms = next(model.parameters()).device, []
         for reference in self.references:
-            worn = reference.timeline.garments
-            garments = pack(worn.garments, torch.float32, device, worn.worlds)
+            packed = reference.timeline.garments
+            garments = pack(packed.garments, torch.float32, device, packed.worlds)
             for height in reference.excess(_method(model, garments), settled=False):
                 logarithms.append(math.log(max(height, _LEAST_EXCESS)) if math.isfinite(height) else math.inf)
         return math.exp(sum(logarithms) / len(logarithms)) if logarithms else math.inf
 
     def _rollout(self, model: AccelerationModel, sample: Sample) -> tuple[int, float, float]:
         """Frames before the garment is lost, and the sums of their energies without gravity [J] and strains."""
-        window, rooms = self.loader.load([sample], self.frames(sample)), self.loader.wardrobe.rooms
+        window, capacities = self.loader.load([sample], self.frames(sample)), self.loader.wardrobe.capacities
         while True:
             rows = torch.stack(list(self._frames(model, window))).tolist()
-            if rooms is None or not rooms.grow(*rooms.taken()):
-                kept = list(takewhile(lambda row: row[0], rows))
-                return len(kept), sum(row[1] for row in kept), sum(row[2] for row in kept)
+            if capacities is None or not capacities.grow(*capacities.taken()):
+                sound = list(takewhile(lambda row: row[0], rows))
+                return len(sound), sum(row[1] for row in sound), sum(row[2] for row in sound)
 
     def _frames(self, model: AccelerationModel, window: Window) -> Iterator[Tensor]:
         """For each frame (3,) float64: 1 if its garment is not lost, its energy without gravity [J], and its strain.
 
         A processor ends where it is lost; an accelerator goes on, as it waits for no decision.
         """
-        timeline, rooms, watch = window.timeline, self.loader.wardrobe.rooms, GarmentWatch()
+        timeline, capacities, watch = window.timeline, self.loader.wardrobe.capacities, GarmentWatch()
         garments, state, last_move = timeline.garments, window.start(0.0, self.clearance), None
         method = _method(model, garments)
         for frame in range(window.length):
             step = timeline.step_from(state) if frame else timeline.settling_from(state)
-            *_, prediction = predictions(step, method, last_move, rooms)
+            *_, prediction = predictions(step, method, last_move, capacities)
             after, last_move = prediction.state, prediction.last_move
             finite = torch.isfinite(after.positions)
             positions = torch.where(finite, after.positions, state.positions)
@@ -187,7 +187,7 @@ class Validation:
             lost = watch.is_lost(strain, drift, terms["collision"].sum().double() / REFERENCE_WEIGHT)
             fine = finite.all() & ~lost
             yield torch.stack([fine.double(), torch.as_tensor(energy), strain.double()])
-            if rooms is None and not bool(fine):
+            if capacities is None and not bool(fine):
                 return
 
 

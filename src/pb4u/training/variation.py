@@ -120,8 +120,8 @@ def cape(body: ShapedBody, triangles: int, rng: np.random.Generator) -> Garment:
         front_gap=_NO_FRONT,
     )
     garment = cut_garment(CAPE, cut, body, triangles)
-    height, left = garment.vertices[:, 1], garment.vertices[:, 0] > 0.0
-    tops = [side & (height > height[side].max() - _PINNED_DEPTH) for side in (left, ~left)]
+    height, is_left = garment.vertices[:, 1], garment.vertices[:, 0] > 0.0
+    tops = [side & (height > height[side].max() - _PINNED_DEPTH) for side in (is_left, ~is_left)]
     return garment.with_pins(tops[0] | tops[1])
 
 

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from pb4u.body.skeleton import PoseSequence
 from pb4u.body.skinning import SkinningWeights, bone_transforms, skin
+from pb4u.collision.capacities import Capacities
 from pb4u.collision.nearest_surface import TriangleSurface
-from pb4u.collision.rooms import Rooms
 from pb4u.garment.material import Material
 from pb4u.scene.colliders import PackedColliders, pack_colliders
 from pb4u.scene.packed import PackedGarments, pack
@@ -34,12 +34,12 @@ class Wardrobe:
         dtype: data type of floating arrays.
 
     Attributes:
-        rooms: fixed numbers of what searches of the bodies find on an accelerator; None on a processor.
+        capacities: fixed numbers of what searches of the bodies find on an accelerator; None on a processor.
     """
 
     def __init__(self, data: TrainingData, device: torch.device | str, dtype: torch.dtype = torch.float32) -> None:
         self.data, self.device, self.dtype = data, torch.device(device), dtype
-        self.rooms = None if self.device.type == "cpu" else Rooms()
+        self.capacities = None if self.device.type == "cpu" else Capacities()
         self._colliders = lru_cache(maxsize=_PACKS)(self._make_colliders)
         self._outfit = lru_cache(maxsize=None)(self._make_outfit)
         self._skin = lru_cache(maxsize=None)(self._make_skin)
@@ -92,12 +92,12 @@ class Wardrobe:
     def _make_colliders(self, bodies: tuple[int, ...]) -> PackedColliders:
         faces, contact, surfaces = zip(*(self._surface(body) for body in bodies), strict=True)
         packed = pack_colliders(faces, contact, range(len(bodies)), surfaces)
-        if self.rooms is None:
+        if self.capacities is None:
             return packed
         at_rest = torch.cat([torch.from_numpy(self.data.bodies[body].vertices) for body in bodies])
         packed.surface_groups(len(bodies), at_rest)
         packed.vertex_groups(at_rest)
-        return packed.to(self.device, self.rooms)
+        return packed.to(self.device, self.capacities)
 
     def _make_outfit(self, outfit: int) -> PackedGarments:
         return pack([self.data.outfits[outfit].garment], self.dtype, self.device)

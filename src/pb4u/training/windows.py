@@ -103,7 +103,7 @@ class Sampler:
         return float(np.random.default_rng((self.configuration.seed, _SLOWING, window)).uniform(0.5, 1.0))
 
     def propagation_steps(self, index: int, step: int, ruled: int) -> int:
-        """Number of propagation steps K at a step of a sample's window, drawn from 1 to the configured most.
+        """Number of propagation steps K at a step of a sample's window, uniform from 1 to `most_propagation_steps`.
 
         Args:
             index: number of the sample.
@@ -186,7 +186,7 @@ class Rollout:
         features: node features of them.
         watch: sees whether they are lost.
         settles: whether the next step is the settling one.
-        left: steps to go.
+        steps_left: steps to go.
         last_move: what `take` would give with the state.
     """
 
@@ -197,7 +197,7 @@ class Rollout:
     features: StepFeatures
     watch: GarmentWatch
     settles: bool
-    left: int
+    steps_left: int
     last_move: Tensor | None = None
 
     def next_step(self) -> TimeStep:

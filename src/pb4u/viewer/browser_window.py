@@ -138,7 +138,7 @@ class BrowserWindow:
         return f"{name} was handed to the browser; run it with `pb4u simulate scene.toml`."
 
     def film(self, suffix: str) -> None:
-        """Begin to take pictures of the view as it is.
+        """Begin to take pictures of the current view.
 
         Args:
             suffix: ".png" for the frame that is shown, ".gif" or ".mp4" for all of them.
@@ -224,9 +224,9 @@ class BrowserWindow:
             raise InputError("There is nothing to export yet; simulate something first.")
         remarks: list[str] = []
         with heard_warnings(remarks):
-            name, content, kept = deliver(clips[min(which, len(clips) - 1)], suffix, self._out, remarks.append)
+            name, content, path = deliver(clips[min(which, len(clips) - 1)], suffix, self._out, remarks.append)
         self._client.send_file_download(name, content, save_immediately=True)
-        where = f" It is also kept as {kept}." if kept else ""
+        where = f" It is also kept as {path}." if path else ""
         handed = f"{name}, {len(content) / 1e6:.1f} MB, was handed to the browser.{where}"
         return " ".join([handed, *dict.fromkeys(remarks)])
 
@@ -365,12 +365,12 @@ class BrowserWindow:
 
     def _shoot(self, film: Film) -> None:
         """Take the pictures of a film, frame by frame, and hand it to the browser."""
-        told = ""
+        sentence = ""
         try:
-            for done, frame in enumerate(film.frames):
+            for number, frame in enumerate(film.frames):
                 if self.closed or film.stopped:
                     return
-                self.export_panel.filming(done, len(film.frames))
+                self.export_panel.filming(number, len(film.frames))
                 with self._lock:
                     state = self.state.frozen()
                 if state.clips[:1] != (film.clip,):
@@ -380,7 +380,7 @@ class BrowserWindow:
                 film.pictures.append(take_picture(self._client))
             name, content, remark = film.developed()
             self._client.send_file_download(name, content, save_immediately=True)
-            told = f"{name}, {len(content) / 1e6:.1f} MB, was handed to the browser." + (
+            sentence = f"{name}, {len(content) / 1e6:.1f} MB, was handed to the browser." + (
                 f" It {remark}" if remark else ""
             )
         finally:
@@ -388,4 +388,4 @@ class BrowserWindow:
             with self._lock:
                 self._film = None
             if not self.closed:
-                self.export_panel.filmed(told)
+                self.export_panel.filmed(sentence)

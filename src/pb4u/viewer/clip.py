@@ -47,8 +47,8 @@ class Clip:
     def file_stem(self) -> str:
         """What files of it are called, less their suffix."""
         name = Path(self.label)
-        known = name.stem if name.suffix.lower() in WRITERS else self.label
-        return re.sub(r"\W+", "_", known).strip("_") or "garment"
+        stem = name.stem if name.suffix.lower() in WRITERS else self.label
+        return re.sub(r"\W+", "_", stem).strip("_") or "garment"
 
     def garment(self, t: int) -> np.ndarray:
         """Vertices (vertices, 3) float32 [m] of all garments at frame t.
@@ -116,8 +116,8 @@ class GrowingClip(Clip):
         super().__init__(label, room, room)
         self._count = count
         self._notes: tuple[str, ...] = () if before is None else before._notes
-        for own, its in zip(self._values, () if before is None else before._values, strict=False):
-            own[:count] = its[:count]
+        for values, old_values in zip(self._values, () if before is None else before._values, strict=False):
+            values[:count] = old_values[:count]
 
     def until(self, count: int, header: TrajectoryHeader | None = None) -> GrowingClip:
         """A clip of its own that begins with the first frames of this one, which stays as it is.
@@ -158,11 +158,11 @@ class GrowingClip(Clip):
 
     def trajectory(self) -> Trajectory:
         count, header = self._count, self.header
-        made = self._shown.with_frames(lambda values: values[:count], header.fps)
+        trajectory = self._shown.with_frames(lambda values: values[:count], header.fps)
         if not self._notes:
-            return made
+            return trajectory
         notes = [*header.metadata.get("notes", ()), *self._notes]
-        return replace(made, header=header.with_metadata(notes=notes))
+        return replace(trajectory, header=header.with_metadata(notes=notes))
 
 
 def middle(body: np.ndarray) -> np.ndarray:

@@ -34,7 +34,7 @@ class ExportPanel(Panel):
         self._go = gui.add_button("Export")
         self._status = gui.add_html("")
         self._go.on_click(self._answer(self._export))
-        with gui.add_folder("The view as it is"):
+        with gui.add_folder("Current view"):
             self._still = gui.add_button("Still of this frame")
             self._film_format = gui.add_dropdown("Video", FILM_SUFFIXES[1:], initial_value=usual_video())
             self._film = gui.add_button("Video of all frames")
@@ -47,23 +47,23 @@ class ExportPanel(Panel):
     def _export(self) -> None:
         self._go.disabled = True
         self._status.content = notice(f"Writing {self._format.value}.")
-        done = ""
+        sentence = ""
         try:
-            done = self._window.export(self._format.value, ("left", "right").index(self._which.value))
+            sentence = self._window.export(self._format.value, ("left", "right").index(self._which.value))
         finally:
-            self._status.content = notice(done, Tone.good)
+            self._status.content = notice(sentence, Tone.good)
             self._go.disabled = False
 
-    def filming(self, done: int, total: int) -> None:
+    def filming(self, number: int, total: int) -> None:
         """Show the progress of a recording: how many pictures of the view were taken.
 
         Args:
-            done: pictures taken.
+            number: pictures taken.
             total: pictures in all.
         """
         self._still.disabled = self._film.disabled = True
         self._stop.visible = total > 1
-        self._film_status.content = notice(f"Picture {done + 1} of {total}; the view stays as it is meanwhile.")
+        self._film_status.content = notice(f"Picture {number + 1} of {total}; the view stays as it is meanwhile.")
 
     def filmed(self, sentence: str) -> None:
         """Show that no more are taken; `sentence` says what became of them.
@@ -100,12 +100,12 @@ def pack_scene(run: Run, folder: Path) -> tuple[str, bytes]:
         (folder / "scene.toml").unlink()
     # Where they are unpacked, files lie beside the scene.
     text = written.replace(f"{folder.as_posix()}/", "")
-    named = [path for path in run.files if isinstance(path, Path)]
-    if not named:
+    files = [path for path in run.files if isinstance(path, Path)]
+    if not files:
         return "scene.toml", text.encode()
     # What belongs to a file lies beside it: under the same name, or by a name that it tells.
-    alike = {other for path in named for other in path.parent.iterdir() if other.stem == path.stem}
-    beside = alike | {other for path in named for other in with_companions(path)}
+    alike = {other for path in files for other in path.parent.iterdir() if other.stem == path.stem}
+    beside = alike | {other for path in files for other in with_companions(path)}
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("scene.toml", text)
@@ -117,10 +117,10 @@ def pack_scene(run: Run, folder: Path) -> tuple[str, bytes]:
 def _free_names(folder: Path, stem: str, names: list[str]) -> list[str]:
     """`names`, which begin with `stem`, numbered where one of them is taken: what is in the folder stays."""
     for number in count(1):
-        given = names if number == 1 else [f"{stem}-{number}{name.removeprefix(stem)}" for name in names]
-        if not any((folder / name).exists() for name in given):
+        candidates = names if number == 1 else [f"{stem}-{number}{name.removeprefix(stem)}" for name in names]
+        if not any((folder / name).exists() for name in candidates):
             break
-    return given
+    return candidates
 
 
 def deliver(
@@ -151,16 +151,16 @@ def deliver(
         files = sorted(Path(scratch).iterdir())
         if not files:
             raise InputError(f"The exporter wrote no file for {suffix}.")
-        kept = None
+        saved = None
         if folder is not None:
             names = _free_names(folder, stem, [file.name for file in files])
             for file, name in zip(files, names, strict=True):
                 replace_file(folder / name, file.read_bytes())
-            kept = folder / names[files.index(target) if target in files else 0]
+            saved = folder / names[files.index(target) if target in files else 0]
         if len(files) == 1:
-            return files[0].name, files[0].read_bytes(), kept
+            return files[0].name, files[0].read_bytes(), saved
         packed = io.BytesIO()
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
             for file in files:
                 archive.write(file, file.name)
-        return f"{stem}.zip", packed.getvalue(), kept
+        return f"{stem}.zip", packed.getvalue(), saved

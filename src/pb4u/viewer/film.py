@@ -1,4 +1,4 @@
-"""Pictures of the view as it is in the browser: one frame as a still, all of them as a video."""
+"""Pictures of the current view in the browser: one frame as a still, all frames as a video."""
 
 from __future__ import annotations
 
@@ -69,12 +69,12 @@ class Film:
         height, width = (min(picture.shape[k] for picture in self.pictures) // 2 * 2 for k in (0, 1))
         opaque = [_on_ground(picture[:height, :width]) for picture in self.pictures]
         with tempfile.TemporaryDirectory(prefix="pb4u-") as scratch:
-            path, told = Path(scratch) / f"{stem}{self.suffix}", ""
+            path, remark = Path(scratch) / f"{stem}{self.suffix}", ""
             if self.suffix == ".gif":
                 save_gif(opaque, path, self.clip.header.fps)
             else:
-                told = save_mp4(opaque, path, self.clip.header.fps, (width, height))
-            return path.name, path.read_bytes(), told
+                remark = save_mp4(opaque, path, self.clip.header.fps, (width, height))
+            return path.name, path.read_bytes(), remark
 
 
 def _on_ground(picture: np.ndarray) -> np.ndarray:

@@ -42,7 +42,7 @@ def require_offered(run: Run, files: Collection[Path] = ()) -> None:
     Raises:
         InputError: a name that is not built in, or a number out of range.
     """
-    named: list[tuple[str, object, tuple[str, ...]]] = [
+    choices: list[tuple[str, object, tuple[str, ...]]] = [
         ("body", run.body, body_names()),
         ("motion", run.motion, motion_names()),
         ("model", run.model, ("auto", *model_descriptions())),
@@ -52,15 +52,15 @@ def require_offered(run: Run, files: Collection[Path] = ()) -> None:
         ("lead-in frames", run.led_frames, 0, MOST_FRAMES),
         ("refining iterations", run.refine, 0, MOST_REFINING),
     ]
-    for worn in run.garments:
-        named.append(("garment", worn.garment, garment_names()))
-        named += [("material", material, material_names()) for material in worn.materials.values()]
+    for spec in run.garments:
+        choices.append(("garment", spec.garment, garment_names()))
+        choices += [("material", material, material_names()) for material in spec.materials.values()]
         # A file may keep its own mesh; how large that is shows when it is read.
-        count = worn.triangles if worn.garment in files else worn.triangles or 0
+        count = spec.triangles if spec.garment in files else spec.triangles or 0
         counts.append(("triangles", count, LEAST_TRIANGLES, MOST_TRIANGLES))
-    for what, name, known in named:
-        if name is not None and name not in known and not (isinstance(name, Path) and name in files):
-            raise unknown_name(what, str(name), known)
+    for what, name, offered in choices:
+        if name is not None and name not in offered and not (isinstance(name, Path) and name in files):
+            raise unknown_name(what, str(name), offered)
     for what, number, least, most in counts:
         if number is not None and not least <= number <= most:
             raise InputError(f"The number of {what} must lie between {least:,} and {most:,}, not {number:,}.")
@@ -145,9 +145,9 @@ class LiveSimulation(Worker):
         return other
 
     def _work(self) -> None:
-        told: list[str] = []
+        warnings: list[str] = []
         try:
-            with heard_warnings(told):
+            with heard_warnings(warnings):
                 sentence, ending = self._simulate() if self._live is None else self._touched(self._live)
         except _Cancelled:
             there = 0 if self._clip is None else self._clip.frame_count
@@ -155,7 +155,7 @@ class LiveSimulation(Worker):
         except Exception as error:
             sentence, ending = plain_sentence(error), Ending.failed
         self.touches.let_go()
-        self._ended(self._clip, " ".join([sentence, *dict.fromkeys(told)]), ending)
+        self._ended(self._clip, " ".join([sentence, *dict.fromkeys(warnings)]), ending)
 
     def _simulate(self) -> tuple[str, Ending]:
         run = self._specification
@@ -163,10 +163,10 @@ class LiveSimulation(Worker):
         simulator = simulator_of(run)
         self._end_if_cancelled()
         scene = build_scene(replace(run, fps=simulator.fps or run.fps))
-        for worn in scene.garments:
-            if (count := worn.garment.triangle_count) > MOST_TRIANGLES:
+        for entry in scene.garments:
+            if (count := entry.garment.triangle_count) > MOST_TRIANGLES:
                 raise InputError(
-                    f"{worn.garment.name} has {count:,} triangles, and {MOST_TRIANGLES:,} are the most here; ask for "
+                    f"{entry.garment.name} has {count:,} triangles, and {MOST_TRIANGLES:,} are the most here; ask for "
                     "fewer."
                 )
         self._end_if_cancelled()

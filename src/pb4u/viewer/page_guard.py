@@ -72,8 +72,8 @@ class PageGuard:
         return _is_equal(shown, self.token) or _is_equal(_token_of(path), self.token)
 
 
-def _is_equal(shown: str, wanted: str) -> bool:
-    return hmac.compare_digest(shown.encode(), wanted.encode())
+def _is_equal(shown: str, secret: str) -> bool:
+    return hmac.compare_digest(shown.encode(), secret.encode())
 
 
 def _token_of(path: str) -> str:

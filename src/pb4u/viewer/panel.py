@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 
 class Panel(ABC):
-    """Some controls of one window, which ask the window for what a user does.
+    """A group of controls that forwards what the user does to its window.
 
     Args:
         gui: controls of one page.
-        window: takes what a user asks for, from any thread.
+        window: does what the user asks for, from any thread.
     """
 
     def __init__(self, gui: GuiApi, window: BrowserWindow) -> None:

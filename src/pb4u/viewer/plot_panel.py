@@ -96,12 +96,12 @@ class PlotPanel(Panel):
             return
         now, title = time.monotonic(), self._quantity.value
         progress = [(measurement, measurement.done, measurement.failure) for measurement in measurements]
-        wanted = (title, frame, progress)
-        if now - self._last < self._EVERY or wanted == self._drawn:
+        state = (title, frame, progress)
+        if now - self._last < self._EVERY or state == self._drawn:
             return
-        self._last, self._drawn = now, wanted
+        self._last, self._drawn = now, state
         name, fps = self._names.get(title, "stretch"), measurements[0].clip.header.fps
-        curves = [on_timeline(each.series(name), each.clip.header.fps / fps) for each in measurements]
+        curves = [on_timeline(m.series(name), m.clip.header.fps / fps) for m in measurements]
         length = max(len(curve) for curve in curves)
         curves = [np.pad(curve, (0, length - len(curve)), constant_values=np.nan) for curve in curves]
         self._draw(title, tuple(measurement.clip.label for measurement in measurements), curves, float(frame))
@@ -165,9 +165,9 @@ def chart_data(curves: list[np.ndarray], frame: float) -> tuple[np.ndarray, ...]
         Arrays of one length, (frames + 2,) each: abscissa [frames], the curves, and the line in their unit.
     """
     count = len(curves[0])
-    known = np.concatenate(curves)
-    known = known[np.isfinite(known)]
-    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    values = np.concatenate(curves)
+    values = values[np.isfinite(values)]
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
     if high <= low:
         # A curve of one value has no range; the line still needs a length, however small the value is.
         low, high = low - 0.5 * abs(low) - 1e-9, high + 0.5 * abs(high) + 1e-9

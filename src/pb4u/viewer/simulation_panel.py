@@ -36,30 +36,30 @@ def _controls(gui: Any, entries: Iterable[Entry], offered: Mapping[str, Mapping[
     """
     controls = {}
     for entry in entries:
-        label, given = entry.flag.form, {"initial_value": entry.default, "hint": entry.help}
+        label, options = entry.flag.form, {"initial_value": entry.default, "hint": entry.help}
         if label is None:
             continue
         if entry.kind == "switch":
             add = gui.add_checkbox
         elif entry.choices or "options" in offered.get(entry.name, ()):
-            add, given["options"] = gui.add_dropdown, entry.choices
+            add, options["options"] = gui.add_dropdown, entry.choices
         else:
             add, step = gui.add_number, 1 if entry.kind == "whole" else None
-            given |= {"min": entry.flag.least, "max": entry.flag.most, "step": step}
-        controls[entry.name] = add(label, **{**given, **offered.get(entry.name, {})})
+            options |= {"min": entry.flag.least, "max": entry.flag.most, "step": step}
+        controls[entry.name] = add(label, **{**options, **offered.get(entry.name, {})})
     return controls
 
 
 def _values(record: type, controls: Mapping[str, Any], find: Callable[[str, Any], Path | None]) -> dict[str, Any]:
     """What is filled into the controls of a record, by field; `find` gives the file of a field and name."""
     kinds = {name: entry.kind for name, entry in described(record).items()}
-    values = {name: int(each.value) if kinds[name] == "whole" else each.value for name, each in controls.items()}
+    values = {name: int(item.value) if kinds[name] == "whole" else item.value for name, item in controls.items()}
     return {name: find(name, value) or value for name, value in values.items()}
 
 
 def _of_parts(text: str) -> dict[str, str]:
     """Materials by part, as they are written into a field."""
-    pairs = [each.partition("=") for each in text.split(",") if each.strip()]
+    pairs = [part.partition("=") for part in text.split(",") if part.strip()]
     if any(not part.strip() or not material.strip() for part, _, material in pairs):
         raise InputError(f"Fabrics of parts are PART=MATERIAL, separated by commas, such as hem=denim, not {text!r}.")
     return {part.strip(): material.strip() for part, _, material in pairs}
@@ -104,10 +104,10 @@ class GarmentControls:
             InputError: the fabrics of its parts are written otherwise.
         """
         values = _values(WornGarment, self.controls, find)
-        own: dict[str, Any] = {name: None for name in ("material", "pins") if values[name] == _OWN}
+        unset: dict[str, Any] = {name: None for name in ("material", "pins") if values[name] == _OWN}
         if parts := _of_parts(self.parts.value):
-            own["material"] = ({} if "material" in own else {REST: values["material"]}) | parts
-        return WornGarment(**{**values, **own, "triangles": values["triangles"] or None})
+            unset["material"] = ({} if "material" in unset else {REST: values["material"]}) | parts
+        return WornGarment(**{**values, **unset, "triangles": values["triangles"] or None})
 
 
 class SimulationPanel(Panel):
@@ -132,7 +132,7 @@ class SimulationPanel(Panel):
             },
             "refine": {"max": MOST_REFINING},
         }  # fmt: skip
-        self._controls = _controls(gui, [each for each in entries if each.flag.panel == BODY], offered)
+        self._controls = _controls(gui, [entry for entry in entries if entry.flag.panel == BODY], offered)
         with gui.add_folder("Files of your own", expand_by_default=False):
             for kind, accepted in KINDS.items():
                 suffixes = accepted.suffixes + accepted.companions
@@ -142,7 +142,7 @@ class SimulationPanel(Panel):
                     "and goes when this page is closed.",
                 )  # fmt: skip
                 button.on_upload(self._answer(partial(self._take, kind, button)))
-        self._controls |= _controls(gui, [each for each in entries if each.flag.panel != BODY], offered)
+        self._controls |= _controls(gui, [entry for entry in entries if entry.flag.panel != BODY], offered)
         self._start = gui.add_button("Simulate")
         self._stop = gui.add_button("Cancel", disabled=True)
         self._bar = gui.add_progress_bar(0.0, visible=False)
@@ -156,7 +156,7 @@ class SimulationPanel(Panel):
         self._save.on_click(self._answer(self._save_scene))
 
     def _add_garment(self) -> None:
-        taken = [each.controls["garment"].value for each in self._worn]
+        taken = [garment.controls["garment"].value for garment in self._worn]
         usual = str(WornGarment().garment)
         free = next((name for name in (usual, *self._offered["garment"]) if name not in taken), usual)
         with self._place:
@@ -178,8 +178,8 @@ class SimulationPanel(Panel):
             self._status.content = notice(f"{name} is here; it is read with the file that it belongs to.")
             return
         self._offered[kind] = tuple(dict.fromkeys((*self._offered[kind], name)))
-        holders = [each.controls for each in self._worn] if kind == "garment" else [self._controls]
-        controls = [each[kind] for each in holders]
+        holders = [garment.controls for garment in self._worn] if kind == "garment" else [self._controls]
+        controls = [holder[kind] for holder in holders]
         for control in controls:
             chosen = control.value
             control.options = self._offered[kind]
@@ -196,8 +196,8 @@ class SimulationPanel(Panel):
             InputError: that cannot be a run.
         """
         find = self._window.uploads.find
-        worn = tuple(each.specification(find) for each in self._worn)
-        return Run(worn, **_values(Run, self._controls, find))
+        garments = tuple(garment.specification(find) for garment in self._worn)
+        return Run(garments, **_values(Run, self._controls, find))
 
     def _save_scene(self) -> None:
         self._status.content = notice(self._window.save_scene(self.run()), Tone.good)

@@ -144,8 +144,8 @@ class GarmentsSurface(Surface):
             self._lines.append((lines.at(chosen), handle))
         self._parts: list[tuple[np.ndarray, PlainSurface]] = []
         for number, part in enumerate(parts):
-            rows, own = np.unique(self._drawn.faces[np.isin(self._drawn.parent, part.faces)], return_inverse=True)
-            surface = PlainSurface(scene, f"{name}/{number}", own.reshape(-1, 3), part.colour, wireframe)
+            rows, corners = np.unique(self._drawn.faces[np.isin(self._drawn.parent, part.faces)], return_inverse=True)
+            surface = PlainSurface(scene, f"{name}/{number}", corners.reshape(-1, 3), part.colour, wireframe)
             self._parts.append((rows, surface))
 
     def show(self, positions: np.ndarray, colours: np.ndarray | None) -> bool:

@@ -61,8 +61,8 @@ class TouchPanel(Panel):
             return
         self._offered = live
         self._unfelt.visible = live is None or not live.feels
-        worn = [] if live is None else [each.garment.name for each in live.scene.garments]
-        names = [f"{number}: {name}" for number, name in enumerate(worn, 1)]
+        garment_names = [] if live is None else [dressed.garment.name for dressed in live.scene.garments]
+        names = [f"{number}: {name}" for number, name in enumerate(garment_names, 1)]
         for control in self._fabrics:
             control.remove()
         with self._place:

@@ -82,7 +82,7 @@ class Touches:
         self._grasp = _Grasp(Hand.at(live.packed, cloth, tuple(at)).vertices, finite(point), follows)
 
     def draw(self, point: Point) -> None:
-        """Draw what is held to another point of the view.
+        """Pull the cloth in the hand to another point of the view.
 
         Args:
             point: (3,) [m] in the view.
@@ -139,8 +139,8 @@ class Touches:
         def dressed(live: LiveRun, clip: GrowingClip) -> GrowingClip:
             live.dress(number, material)
             other = clip.until(clip.frame_count, live.header)
-            worn = live.scene.garments[number].garment.name
-            other.note(f"From frame {clip.frame_count} on {worn} was of {name}.")
+            garment = live.scene.garments[number].garment.name
+            other.note(f"From frame {clip.frame_count} on {garment} was of {name}.")
             return other
 
         self._requests.append(dressed)
@@ -173,7 +173,7 @@ class Touches:
         return clip
 
     def of_step(self, live: LiveRun, clip: GrowingClip) -> Touch | None:
-        """What is done over the next step; None for nothing.
+        """Hand and wind of the next step; None for neither.
 
         Args:
             live: the run.

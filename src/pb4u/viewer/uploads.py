@@ -86,7 +86,7 @@ class Uploads:
         Args:
             kind: "garment", "body" or "motion".
         """
-        chosen = (name for each, name in self._files if each == kind)
+        chosen = (name for file_kind, name in self._files if file_kind == kind)
         return tuple(name for name in chosen if Path(name).suffix.lower() in KINDS[kind].suffixes)
 
     def find(self, kind: str, name: str) -> Path | None:

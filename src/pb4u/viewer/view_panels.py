@@ -29,7 +29,7 @@ class TimelinePanel(Panel):
         loop = gui.add_checkbox("Loop", True)
         self._sets(self._slider, lambda state, frame: state.clock.pause_at(int(frame)))
         self._sets(speed, lambda state, text: setattr(state.clock, "speed", float(text.split()[0])))
-        self._sets(loop, lambda state, wanted: setattr(state.clock, "loop", bool(wanted)))
+        self._sets(loop, lambda state, value: setattr(state.clock, "loop", bool(value)))
         self._play.on_click(self._answer(lambda: self._window.change(lambda state: state.clock.toggle())))
         self._step.on_click(self._stepped)
 
@@ -37,8 +37,8 @@ class TimelinePanel(Panel):
         # Awaited where messages come in: by the time a thread reads it, the value may be that of the next click.
         self._answer(partial(self._go, self._step.value))(event)
 
-    def _go(self, wanted: str) -> None:
-        match wanted:
+    def _go(self, key: str) -> None:
+        match key:
             case "first":
                 self._window.change(lambda state: state.clock.pause_at(0))
             case "last":
@@ -71,8 +71,8 @@ class TimelinePanel(Panel):
         self._caption.content = _caption(what, when, state.held(frame))
 
 
-def _caption(what: str, when: str, held: tuple[str, ...]) -> str:
-    marks = "".join(notice(sentence, Tone.bad) for sentence in held)
+def _caption(what: str, when: str, remarks: tuple[str, ...]) -> str:
+    marks = "".join(notice(sentence, Tone.bad) for sentence in remarks)
     return (
         f"<div data-caption style='padding:6px 12px 2px;line-height:1.35'><div style='font-weight:600;font-size:0.9em'>"
         f"{escape(what)}</div><div style='font-size:0.85em;color:#667085;font-variant-numeric:tabular-nums'>"
@@ -96,7 +96,7 @@ class LookPanel(Panel):
         self._sets(overlay, lambda state, name: setattr(state, "overlay", name if name in OVERLAYS else SHADED))
         self._sets(body, lambda state, shown: setattr(state, "body", bool(shown)))
         # The camera has to be moved as well, since the scene is elsewhere when the view follows.
-        self._sets(follow, lambda state, wanted: setattr(state, "follow", bool(wanted)), then=self._window.reset_camera)
+        self._sets(follow, lambda state, value: setattr(state, "follow", bool(value)), then=self._window.reset_camera)
         self._sets(shadows, lambda state, cast: setattr(state, "shadows", bool(cast)))
         camera.on_click(self._answer(self._window.reset_camera))
 

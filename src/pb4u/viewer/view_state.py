@@ -217,8 +217,8 @@ class ViewState:
             clip: one of the clips.
             frame: frame of the timeline, which the first clip gives.
         """
-        own = round(frame * clip.header.fps / self.clips[0].header.fps)
-        return min(own, max(clip.frame_count - 1, 0))
+        clip_frame = round(frame * clip.header.fps / self.clips[0].header.fps)
+        return min(clip_frame, max(clip.frame_count - 1, 0))
 
     def held(self, frame: int) -> tuple[str, ...]:
         """Sentences, one for every clip whose frame at `frame` of the timeline is not finite.
@@ -228,9 +228,9 @@ class ViewState:
         """
         shown = [(clip, self.frame_of(clip, frame)) for clip in self.clips]
         return tuple(
-            f"Frame {own} of {clip.label} is not finite: the last whole frame before it is shown."
-            for clip, own in shown
-            if own in clip.held
+            f"Frame {number} of {clip.label} is not finite: the last whole frame before it is shown."
+            for clip, number in shown
+            if number in clip.held
         )
 
     def _length(self) -> int:

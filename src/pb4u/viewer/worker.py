@@ -58,13 +58,13 @@ _HEARING: ContextVar[list[str] | None] = ContextVar("hearing", default=None)
 
 
 @contextmanager
-def heard_warnings(told: list[str]) -> Iterator[None]:
+def heard_warnings(sentences: list[str]) -> Iterator[None]:
     """Take the product's own warnings of this thread for a page, in place of the terminal; other threads keep theirs.
 
     Args:
-        told: gets their sentences.
+        sentences: gets their sentences.
     """
-    token = _HEARING.set(told)
+    token = _HEARING.set(sentences)
     try:
         yield
     finally:
@@ -76,9 +76,9 @@ def route_warnings() -> Callable[[], None]:
     before = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *rest: Any, **more: Any) -> None:
-        told = _HEARING.get()
-        if told is not None and issubclass(category, InputWarning):
-            told.append(" ".join(str(message).split()))
+        sentences = _HEARING.get()
+        if sentences is not None and issubclass(category, InputWarning):
+            sentences.append(" ".join(str(message).split()))
         else:
             before(message, category, *rest, **more)
 

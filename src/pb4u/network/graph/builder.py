@@ -11,7 +11,7 @@ from typing import Protocol, TypeAlias
 import torch
 from torch import Tensor
 
-from pb4u.collision.rooms import found_rows
+from pb4u.collision.capacities import found_rows
 from pb4u.errors import InputError
 from pb4u.network.graph.features import FeatureLayout
 from pb4u.network.graph.garment_graph import GarmentEdges, GarmentGraph
@@ -128,8 +128,8 @@ class GraphBuilder:
         edges = {
             name: self._garment_edges(name, of, seen.edge_positions, duration) for name, of in self.static.edges.items()
         }
-        for name, found in ({} if self.finder is None else self.finder.found(seen)).items():
-            edges[name] = self._found_edges(name, found, positions, velocities, duration)
+        for name, pairs in ({} if self.finder is None else self.finder.found(seen)).items():
+            edges[name] = self._found_edges(name, pairs, positions, velocities, duration)
         self._add_body(nodes, edges, collider, positions, velocities, origins, duration)
         return Graph(nodes, edges, self.static.vertex_offsets, self.rest)
 
@@ -160,13 +160,13 @@ class GraphBuilder:
         }
         chosen = _chosen(self.layout.node, columns, duration)
         for feature in self.layout.extra:
-            given = extra.get(feature.name)
-            if given is None or given.shape != (len(positions), feature.width):
+            values = extra.get(feature.name)
+            if values is None or values.shape != (len(positions), feature.width):
                 raise InputError(
                     f"The network needs the extra node feature {feature.name!r} with {feature.width} columns for "
-                    f"{len(positions)} vertices; it got {'nothing' if given is None else tuple(given.shape)}."
+                    f"{len(positions)} vertices; it got {'nothing' if values is None else tuple(values.shape)}."
                 )
-            chosen.append(given.to(self.dtype))
+            chosen.append(values.to(self.dtype))
         return NodeSet(torch.cat(chosen, dim=1), static.node_types, static.node_world)
 
     def _garment_edges(self, kind: str, edges: GarmentEdges, positions: Tensor, duration: Columns) -> EdgeSet:
@@ -186,9 +186,9 @@ class GraphBuilder:
         return EdgeSet(kind, GARMENT, GARMENT, edges.senders, edges.receivers, features)
 
     def _found_edges(
-        self, kind: str, found: FoundEdges, positions: Tensor, velocities: Tensor, duration: Columns
+        self, kind: str, pairs: FoundEdges, positions: Tensor, velocities: Tensor, duration: Columns
     ) -> EdgeSet:
-        senders, receivers = found.senders, found.receivers
+        senders, receivers = pairs.senders, pairs.receivers
         sender, receiver, material = senders.index, receivers.index, self.static.node_material
         vector = positions.index_select(0, sender) - positions.index_select(0, receiver)
         velocity = velocities.index_select(0, sender) - velocities.index_select(0, receiver)
@@ -199,7 +199,7 @@ class GraphBuilder:
             "previous_length": (vector - velocity).norm(dim=1, keepdim=True),
             "relative_velocity": velocity,
             "relative_speed": velocity.norm(dim=1, keepdim=True),
-            "future_pinned": vector.new_zeros(len(vector), 1) if found.future is None else found.future,
+            "future_pinned": vector.new_zeros(len(vector), 1) if pairs.future is None else pairs.future,
             "material": 0.5 * (material.index_select(0, sender) + material.index_select(0, receiver)),
         }
         features = torch.cat(_chosen(self.layout.found_edge, columns, duration), dim=1)
@@ -218,39 +218,39 @@ class GraphBuilder:
         """Add the body vertices that a garment vertex sees, and the edges between them, where there are any."""
         origin = None if origins is None else origins[collider.colliders.vertex_world]
         now = self._localise(collider.now.positions, origin)
-        rooms = collider.colliders.rooms
+        capacities = collider.colliders.capacities
         garment, body, filled = self._near_pairs(positions, now, collider.colliders)
         if len(body) == 0:
             return
-        if rooms is None:
-            kept, body_node = torch.unique(body, return_inverse=True)
+        if capacities is None:
+            used, body_node = torch.unique(body, return_inverse=True)
         else:
             near = torch.zeros(len(now) + 1, dtype=torch.bool, device=body.device)
             near = near.index_fill(0, torch.where(filled, body, len(now)), True)[:-1]
-            kept, filled_nodes = found_rows(near, "body nodes", rooms)
-            body_node = (near.cumsum(0)[body] - 1).clamp(0, len(kept) - 1)
-        before, here, after = (pose.positions[kept] for pose in (collider.previous, collider.now, collider.following))
+            used, filled_nodes = found_rows(near, "body nodes", capacities)
+            body_node = (near.cumsum(0)[body] - 1).clamp(0, len(used) - 1)
+        before, here, after = (pose.positions[used] for pose in (collider.previous, collider.now, collider.following))
         velocity, ahead = (here - before).to(self.dtype), (after - here).to(self.dtype)
-        normal = feature_normals(now, collider.colliders.faces)[kept]
-        world = collider.colliders.vertex_world[kept]
-        if rooms is not None:
+        normal = feature_normals(now, collider.colliders.faces)[used]
+        world = collider.colliders.vertex_world[used]
+        if capacities is not None:
             # What is only room is of no world.
             world = torch.where(filled_nodes, world, len(self.static.vertex_offsets) - 1)
         nodes[BODY] = self._body_nodes(velocity, ahead, normal, duration, world)
 
-        now, following = now[kept], self._localise(after, None if origin is None else origin[kept])
+        now, following = now[used], self._localise(after, None if origin is None else origin[used])
         relative_now = positions.index_select(0, garment) - now.index_select(0, body_node)
         relative_next = positions.index_select(0, garment) - following.index_select(0, body_node)
         approach = velocities.index_select(0, garment) - (following - now).index_select(0, body_node)
-        real = None if rooms is None else filled
-        garments, bodies = incidence(garment, len(positions), real), incidence(body_node, len(kept), real)
+        real = None if capacities is None else filled
+        garments, bodies = incidence(garment, len(positions), real), incidence(body_node, len(used), real)
         features = self._world_features(relative_now, relative_next, approach, duration)
         edges["body_to_garment"] = EdgeSet("world", BODY, GARMENT, bodies, garments, features, "world_edge")
         order = bodies.order
-        real = None if rooms is None else filled[order]
+        real = None if capacities is None else filled[order]
         garments, bodies = (
             incidence(garment[order], len(positions), real),
-            incidence(body_node[order], len(kept), real),
+            incidence(body_node[order], len(used), real),
         )
         features = self._world_features(-relative_now[order], -relative_next[order], -approach[order], duration)
         edges["garment_to_body"] = EdgeSet("world", GARMENT, BODY, garments, bodies, features, "world_edge")
@@ -279,21 +279,21 @@ class GraphBuilder:
         And which of them are filled (pairs,) bool: all but those that are only room.
         """
         rule = self.world_edges
-        batched = colliders.rooms is not None and isinstance(rule, WorldEdgeRule) and not rule.whole_body
+        batched = colliders.capacities is not None and isinstance(rule, WorldEdgeRule) and not rule.whole_body
         if batched and (groups := colliders.vertex_groups(body)) is not None:
             assert isinstance(rule, WorldEdgeRule)
             places, filled, _ = self.static.world_rows
             points = torch.where(filled[..., None], positions[places], torch.nan)
-            row, near, real = rule.batched_pairs(points, body, groups, colliders.rooms)
+            row, near, real = rule.batched_pairs(points, body, groups, colliders.capacities)
             return places.reshape(-1)[row], near, real
-        garment, found = [], []
+        garment, targets = [], []
         offsets = self.static.world_offsets
         for world, (start, stop) in enumerate(list(pairwise(offsets))[: len(colliders.surfaces)]):
             rows, near = rule.pairs(positions[start:stop], body, colliders, world)
             allowed = colliders.contact[near]
             garment.append(rows[allowed] + start)
-            found.append(near[allowed])
-        pairs = torch.cat(found)
+            targets.append(near[allowed])
+        pairs = torch.cat(targets)
         return torch.cat(garment), pairs, torch.ones_like(pairs, dtype=torch.bool)
 
     def _world_features(

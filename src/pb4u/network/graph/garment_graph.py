@@ -162,7 +162,7 @@ def _mean_at(vertices: Tensor, values: Tensor, garments: PackedGarments) -> Tens
 
 def _known_or_mean(values: Tensor, garments: PackedGarments) -> Tensor:
     """`values` (vertices,), what is not finite (an isolated vertex) replaced by the mean over its garment."""
-    known, owner, zeros = torch.isfinite(values), garments.vertex_garment, values.new_zeros(garments.garment_count)
-    total = zeros.index_add(0, owner, torch.where(known, values, 0.0))
-    mean = total / zeros.index_add(0, owner, known.to(values)).clamp_min(1.0)
-    return torch.where(known, values, mean[owner])
+    finite, owner, zeros = torch.isfinite(values), garments.vertex_garment, values.new_zeros(garments.garment_count)
+    total = zeros.index_add(0, owner, torch.where(finite, values, 0.0))
+    mean = total / zeros.index_add(0, owner, finite.to(values)).clamp_min(1.0)
+    return torch.where(finite, values, mean[owner])

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.batched_surface import GROUP, Balls, Groups
+from pb4u.collision.capacities import Capacities, found_rows
 from pb4u.collision.near_vertices import nearest_vertices
-from pb4u.collision.rooms import Rooms, found_rows
 from pb4u.errors import InputError
 from pb4u.scene.colliders import PackedColliders
 
@@ -49,15 +49,15 @@ class WorldEdgeRule:
             colliders: static quantities of the bodies.
             world: number of the world.
         """
-        own = colliders.world_vertices[world]
-        whole = torch.arange(own.start, own.stop, device=points.device)
-        searched = whole if self.whole_body else colliders.touchable[world]
+        block = colliders.world_vertices[world]
+        all_rows = torch.arange(block.start, block.stop, device=points.device)
+        searched = all_rows if self.whole_body else colliders.touchable[world]
         index, within = nearest_within(points, body[searched], self)
         rows = torch.arange(len(points), device=index.device).repeat_interleave(index.shape[1])
         return rows[within.reshape(-1)], searched[index[within]]
 
     def batched_pairs(
-        self, points: Tensor, body: Tensor, groups: Groups, rooms: Rooms | None
+        self, points: Tensor, body: Tensor, groups: Groups, capacities: Capacities | None
     ) -> tuple[Tensor, Tensor, Tensor]:
         """The same for all worlds at once and in tensors alone: row of the points, body vertex, and whether filled.
 
@@ -65,17 +65,17 @@ class WorldEdgeRule:
             points: (worlds, points, 3) [m]; one that is not finite is near nothing.
             body: (vertices, 3) of all bodies [m].
             groups: vertices of each world that may be touched.
-            rooms: fixed numbers of what is found; rows that are not filled come last, at row 0.
+            capacities: fixed numbers of what is found; rows that are not filled come last, at row 0.
         """
         points, body, count = points.to(torch.float64), body.to(torch.float64), groups.items.shape[1]
         flat, balls = points.reshape(-1, 3), Balls.around(body[groups.items])
         reached = balls.within(points, torch.full_like(points[..., 0], self.radius))
-        pairs, filled = found_rows(reached, "groups of body vertices", rooms)
+        pairs, filled = found_rows(reached, "groups of body vertices", capacities)
         row = pairs // count
         group = row // points.shape[1] * count + pairs % count
         near, real = groups.items.flatten(0, 1)[group], groups.filled.flatten(0, 1)[group] & filled[:, None]
         squares = (body[near] - flat[row, None]).square().sum(-1)
-        pairs, filled = found_rows((squares < self.radius**2) & real, "near body vertices", rooms)
+        pairs, filled = found_rows((squares < self.radius**2) & real, "near body vertices", capacities)
         row, near, squares = row[pairs // GROUP], near.reshape(-1)[pairs], squares.reshape(-1)[pairs]
         # Nearest first within each point; those over go last.
         row = torch.where(filled, row, len(flat))
@@ -83,8 +83,8 @@ class WorldEdgeRule:
         order = order[torch.argsort(row[order], stable=True)]
         row, near = row[order], near[order]
         rank = torch.arange(len(row), device=row.device) - torch.searchsorted(row, row)
-        kept, filled = found_rows((rank < self.neighbours) & (row < len(flat)), "world edges", rooms)
-        return row[kept].clamp_max(len(flat) - 1), near[kept], filled
+        places, filled = found_rows((rank < self.neighbours) & (row < len(flat)), "world edges", capacities)
+        return row[places].clamp_max(len(flat) - 1), near[places], filled
 
 
 @dataclass(frozen=True)
@@ -153,15 +153,15 @@ def _nearest_by_grid(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tu
 
 def _nearest_by_chunks(points: Tensor, targets: Tensor, rule: WorldEdgeRule, rows: int = 4096) -> tuple[Tensor, Tensor]:
     # Rows at once: against 20,000 targets their distances take 330 MB in float32.
-    wanted = min(rule.neighbours, targets.shape[0])
+    neighbours = min(rule.neighbours, targets.shape[0])
     indices, distances = [], []
     for start in range(0, points.shape[0], rows):
         block = points[start : start + rows]
         distance = torch.cdist(block, targets, compute_mode="donot_use_mm_for_euclid_dist")
-        best, index = distance.topk(wanted, dim=1, largest=False)
+        best, index = distance.topk(neighbours, dim=1, largest=False)
         indices.append(index)
         distances.append(best)
-    missing = (0, rule.neighbours - wanted)
+    missing = (0, rule.neighbours - neighbours)
     index = torch.nn.functional.pad(torch.cat(indices), missing)
     within = torch.nn.functional.pad(torch.cat(distances) <= rule.radius, missing)
     return torch.where(within, index, 0), within

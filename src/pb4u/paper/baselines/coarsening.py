@@ -35,8 +35,8 @@ def coarse_levels(edges: np.ndarray, rest_positions: np.ndarray, count: int) -> 
     for _ in range(count):
         graph = _coarser(graph, centres)
         rows, columns = graph.nonzero()
-        kept = rows < columns
-        levels.append(np.column_stack([rows[kept], columns[kept]]).astype(np.int64))
+        upper = rows < columns
+        levels.append(np.column_stack([rows[upper], columns[upper]]).astype(np.int64))
     return levels
 
 

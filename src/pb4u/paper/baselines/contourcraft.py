@@ -103,10 +103,10 @@ class ContourCraft(EncodeProcessDecode):
     configuration: ContourCraftConfiguration
 
     def __init__(self, configuration: ContourCraftConfiguration) -> None:
-        found = (REPULSION, ATTRACTION) if configuration.radius > 0 else ()
-        super().__init__(configuration, ("mesh", COARSE), found, levels=configuration.level + 2)
+        contact_kinds = (REPULSION, ATTRACTION) if configuration.radius > 0 else ()
+        super().__init__(configuration, ("mesh", COARSE), contact_kinds, levels=configuration.level + 2)
         self._levels = MeshMemory(coarse_levels, REMEMBERED)
-        width, kinds = configuration.width, ("mesh", COARSE, *found, "world")
+        width, kinds = configuration.width, ("mesh", COARSE, *contact_kinds, "world")
         self.decoder = MLP(width, width, 3, norm=False)
         self.blocks = nn.ModuleList(InteractionBlock(width, kinds) for _ in range(configuration.blocks))
 

@@ -64,9 +64,9 @@ class DirectedProximityEdges:
             sender, over = np.concatenate([sender, ahead]), np.concatenate([over, ahead_over])
             receiver = np.concatenate([receiver, nearest_corners(then, faces, ahead, ahead_over)])
             future = np.concatenate([future, np.ones(len(ahead), dtype=bool)])
-        kept, attracted = self._proximity.enclosures(now).told(sender, over)
+        free, attracted = self._proximity.enclosures(now).told(sender, over)
         edges = {}
-        for kind, chosen in ((REPULSION, kept & ~attracted), (ATTRACTION, kept & attracted)):
+        for kind, chosen in ((REPULSION, free & ~attracted), (ATTRACTION, free & attracted)):
             order = np.flatnonzero(chosen)
             order = order[np.argsort(receiver[order], kind="stable")]
             edges[kind] = self._directed(seen.positions, sender[order], receiver[order], future[order])

@@ -46,9 +46,9 @@ class Enclosures:
         """
         enclosed = (self.enclosed.getnnz(axis=1) > 0)[vertices]
         passed = np.flatnonzero(enclosed)
-        kept = ~enclosed
-        kept[passed] = self.reached[vertices[passed]].multiply(self.touched[faces[passed]]).getnnz(axis=1) > 0
-        return kept, enclosed | self.at_open[vertices]
+        free = ~enclosed
+        free[passed] = self.reached[vertices[passed]].multiply(self.touched[faces[passed]]).getnnz(axis=1) > 0
+        return free, enclosed | self.at_open[vertices]
 
 
 CutOff = Callable[[Contours, Topology], Enclosures]
@@ -134,9 +134,9 @@ def _cut_off(contours: Contours, topology: Topology, side: np.ndarray, count: in
     np.minimum.at(first, edges, contours.contour)
     cuts = ~often[edges] | (contours.contour == first[edges])
     for number in range(count):
-        own = np.isin(edges, edges[(side == number) & cuts])
-        joined = connected_labels(len(sizes), *ends[~own].T)
-        reached = np.unique(joined[ends[own]])
+        is_cut = np.isin(edges, edges[(side == number) & cuts])
+        joined = connected_labels(len(sizes), *ends[~is_cut].T)
+        reached = np.unique(joined[ends[is_cut]])
         if len(reached) != 2:
             continue
         closed[number] = True
@@ -151,9 +151,9 @@ def _cut_off(contours: Contours, topology: Topology, side: np.ndarray, count: in
 
 def _parts(contours: Contours, topology: Topology) -> np.ndarray:
     """Part (vertices,) of the surface that each vertex is on when every crossed edge is cut."""
-    whole = np.ones(len(topology.edges), dtype=bool)
-    whole[contours.edges] = False
-    return connected_labels(topology.vertex_count, *topology.edges[whole].T)
+    is_uncut = np.ones(len(topology.edges), dtype=bool)
+    is_uncut[contours.edges] = False
+    return connected_labels(topology.vertex_count, *topology.edges[is_uncut].T)
 
 
 def _corners(topology: Topology) -> csr_matrix:

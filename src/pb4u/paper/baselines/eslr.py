@@ -163,14 +163,14 @@ class GeodesicAttention(nn.Module):
         landmarks, geodesics, offsets = graph.rest[LANDMARKS], graph.rest[GEODESICS].to(values), graph.vertex_offsets
         results = []
         for garment in range(len(offsets) - 1):
-            own, away = (of[offsets[garment] : offsets[garment + 1]] for of in (values, geodesics))
+            rows, away = (of[offsets[garment] : offsets[garment + 1]] for of in (values, geodesics))
             # Where there are fewer vertices than landmarks, the landmarks beyond them do not exist.
-            marks, away = landmarks[garment, : len(own)], away[:, : len(own)]
-            tokens = own[marks]
+            marks, away = landmarks[garment, : len(rows)], away[:, : len(rows)]
+            tokens = rows[marks]
             tokens = tokens + self.collect(tokens, tokens, away[marks])
             pieces = [
-                self.spread(own[start : start + _ROWS_PER_PIECE], tokens, away[start : start + _ROWS_PER_PIECE])
-                for start in range(0, len(own), _ROWS_PER_PIECE)
+                self.spread(rows[start : start + _ROWS_PER_PIECE], tokens, away[start : start + _ROWS_PER_PIECE])
+                for start in range(0, len(rows), _ROWS_PER_PIECE)
             ]
             results.append(torch.cat(pieces))
         return torch.cat(results)

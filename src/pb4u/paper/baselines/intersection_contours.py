@@ -56,10 +56,10 @@ class ContourFinder:
             vertices: (vertices, 3) [m].
         """
         vertices = vertices.astype(np.float64, copy=False)
-        found = piercings(vertices, self.topology, self._search.pairs(vertices, sharing=True))
-        segments = self._segments(found.edges, found.faces)
-        contour = connected_labels(len(found), *segments.T).astype(np.int64)
-        return Contours(found.edges, found.faces, segments, contour, int(contour.max(initial=-1)) + 1)
+        pierced = piercings(vertices, self.topology, self._search.pairs(vertices, sharing=True))
+        segments = self._segments(pierced.edges, pierced.faces)
+        contour = connected_labels(len(pierced), *segments.T).astype(np.int64)
+        return Contours(pierced.edges, pierced.faces, segments, contour, int(contour.max(initial=-1)) + 1)
 
     def _segments(self, edges: np.ndarray, faces: np.ndarray) -> np.ndarray:
         """(segments, 2) the two crossings of every pair of triangles that has exactly two."""

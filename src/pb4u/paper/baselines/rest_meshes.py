@@ -51,7 +51,7 @@ class MeshMemory(Generic[T]):
 
 
 def levels_of(
-    garments: PackedGarments, garment: int, count: int, made: MeshMemory[list[np.ndarray]]
+    garments: PackedGarments, garment: int, count: int, memory: MeshMemory[list[np.ndarray]]
 ) -> list[np.ndarray]:
     """Edges (edges, 2) int64 of the first `count` coarse levels of a garment: from its file if it has them.
 
@@ -59,10 +59,10 @@ def levels_of(
         garments: the pack.
         garment: index of the garment.
         count: number of levels.
-        made: computes them for garments whose file has too few.
+        memory: computes them for garments whose file has too few.
     """
-    given = garments.garments[garment].coarse_edges
-    return list(given[:count]) if len(given) >= count else made.of(garments, garment, count)
+    levels = garments.garments[garment].coarse_edges
+    return list(levels[:count]) if len(levels) >= count else memory.of(garments, garment, count)
 
 
 def packed_levels(
@@ -82,8 +82,8 @@ def packed_levels(
         labelled: levels of each garment that its vertices are labelled by; the same ones by default.
     """
     spans = list(pairwise(garments.vertex_offsets))
-    labels = [level_labels(own, stop - start) for own, (start, stop) in zip(labelled or levels, spans, strict=True)]
-    shifted = [[edges + start for edges in own] for own, (start, _) in zip(levels, spans, strict=True)]
-    named = zip(kinds, zip(*(own[-len(kinds) :] for own in shifted), strict=True), strict=True)
-    edges = {kind: torch.from_numpy(np.concatenate(parts)).to(garments.device) for kind, parts in named}
+    labels = [level_labels(level, stop - start) for level, (start, stop) in zip(labelled or levels, spans, strict=True)]
+    shifted = [[edges + start for edges in level] for level, (start, _) in zip(levels, spans, strict=True)]
+    edges_by_kind = zip(kinds, zip(*(level[-len(kinds) :] for level in shifted), strict=True), strict=True)
+    edges = {kind: torch.from_numpy(np.concatenate(parts)).to(garments.device) for kind, parts in edges_by_kind}
     return edges, torch.from_numpy(np.concatenate(labels)).to(garments.device)

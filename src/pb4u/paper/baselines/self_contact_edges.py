@@ -148,9 +148,9 @@ class Repulsion:
             after: (vertices, 3) positions after it [m].
         """
         facing = proximity.find(as_points(before), self.reach)
-        kept = ~facing.passed
+        outside = ~facing.passed
         vertices, faces, side = (
-            torch.from_numpy(values[kept]).to(after.device)
+            torch.from_numpy(values[outside]).to(after.device)
             for values in (facing.vertices, proximity.tree.faces[facing.faces], np.sign(facing.heights))
         )
         a, b, c = (after[faces[:, corner]] for corner in range(3))

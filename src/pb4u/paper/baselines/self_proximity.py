@@ -108,8 +108,8 @@ class SelfProximity:
             radius: largest height on either side of a face [m].
         """
         vertex, face, height = facing_pairs(vertices, self.tree, radius)
-        kept, passed = self.enclosures(vertices).told(vertex, face)
-        return FacingPairs(vertex[kept], face[kept], height[kept], passed[kept])
+        free, passed = self.enclosures(vertices).told(vertex, face)
+        return FacingPairs(vertex[free], face[free], height[free], passed[free])
 
     def enclosures(self, vertices: np.ndarray) -> Enclosures:
         """Vertices that have passed through the cloth, at positions `vertices` (vertices, 3) [m].

@@ -233,7 +233,7 @@ def nearest_planes(
     if batch is None:
         return no_planes(x)
     places, _, rows = garments.world_rows
-    near = batch.closest(x.detach().to(torch.float64)[places], pose.colliders.rooms)
+    near = batch.closest(x.detach().to(torch.float64)[places], pose.colliders.capacities)
     return ContactPlanes(
         points=near.positions[rows].to(x),
         normals=near.normals[rows].to(x),
@@ -245,7 +245,7 @@ def nearest_planes(
 
 
 def _compiled(pose: ColliderPose) -> bool:
-    return pose.colliders.rooms is None and all(surface is None or surface.compiled for surface in pose.surfaces)
+    return pose.colliders.capacities is None and all(surface is None or surface.compiled for surface in pose.surfaces)
 
 
 def _renewed(pose: ColliderPose, garments: PackedGarments, x: Tensor, within: float, patience: float) -> Found:

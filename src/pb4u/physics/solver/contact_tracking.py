@@ -52,7 +52,7 @@ def moved_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
     wanted = planes.distance.clamp(0.0, _LIFT).to(x)
     moves = ~garments.pinned & (garments.vertex_masses > 0)
     overrun = planes.touchable & moves & (planes.distance.abs() < REACH) & (height < wanted - _ROUNDING)
-    if bodies.colliders.rooms is None and not bool(overrun.any()):
+    if bodies.colliders.capacities is None and not bool(overrun.any()):
         return x
     lifted = torch.where(overrun[:, None], x + (wanted - height)[:, None] * normal, x)
     before, after = (

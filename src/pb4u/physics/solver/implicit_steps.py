@@ -79,12 +79,12 @@ def in_parts(step: TimeStep, count: int, solve: Callable[[TimeStep], Solution]) 
         count: number of parts.
         solve: solves one of them.
     """
-    state, made, converged = step.state, 0, True
+    state, iterations, converged = step.state, 0, True
     for k in range(count):
         part = step if count == 1 else step.part(k, count, state)
         solution = solve(part)
         state = part.reached(solution.positions, solution.struck)
-        made, converged = made + solution.iterations, converged and solution.converged
+        iterations, converged = iterations + solution.iterations, converged and solution.converged
     if count > 1:
         state = step.reached_by_parts(state)
-    return state, replace(solution, iterations=made, converged=converged)
+    return state, replace(solution, iterations=iterations, converged=converged)

@@ -233,8 +233,8 @@ def _inverse(matrix: np.ndarray) -> np.ndarray:
         inverse: np.ndarray = torch.cholesky_inverse(factor).numpy()
         return inverse
     values, vectors = np.linalg.eigh(matrix)
-    kept = values > 1e-9 * values[-1]
-    return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    is_regular = values > 1e-9 * values[-1]
+    return (vectors[:, is_regular] / values[is_regular]) @ vectors[:, is_regular].T
 
 
 def _affine_functions(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -89,11 +89,11 @@ class EnergyTerm(ABC):
         """
         at = torch.from_numpy(x)
         if len(gradient):
-            found, slope = self.energies_and_gradient(step, contacts, at)
+            values, slope = self.energies_and_gradient(step, contacts, at)
             gradient += as_float64(slope)
         else:
-            found = self.energies(step, contacts, at)
-        energies += as_float64(found)
+            values = self.energies(step, contacts, at)
+        energies += as_float64(values)
 
     def _added(
         self, step: TimeStep, contacts: ContactSet, x: Tensor, *, gradient: bool = True

@@ -195,8 +195,8 @@ def slip_across(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
         anchor: (vertices, 3) [m] where each vertex would be if it did not slip.
         normal: (vertices, 3) of the surface that it slips on.
     """
-    moved = x - anchor
-    return moved - dot(moved, normal)[:, None] * normal
+    slip = x - anchor
+    return slip - dot(slip, normal)[:, None] * normal
 
 
 @compiled

@@ -59,6 +59,6 @@ class Inertia(EnergyTerm):
 
     def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
         state, masses = step.state.double(), step.garments.vertex_masses.double()
-        kept = as_float64(state.positions + step.integrator.free_move(state, step.dt))
-        records = (vertex_record(step.garments, as_float64(masses / step.inertial_dt**2), kept),)
+        targets = as_float64(state.positions + step.integrator.free_move(state, step.dt))
+        records = (vertex_record(step.garments, as_float64(masses / step.inertial_dt**2), targets),)
         return lambda _: records

@@ -145,8 +145,8 @@ class SymmetricBlocks:
     @property
     def diagonal(self) -> np.ndarray:
         """Diagonal blocks (vertices, 3, 3) [N/m], a copy."""
-        own: np.ndarray = self.blocks[self.starts[:-1]]
-        return own
+        blocks: np.ndarray = self.blocks[self.starts[:-1]]
+        return blocks
 
     def __matmul__(self, vector: np.ndarray) -> np.ndarray:
         """Product (vertices, 3) [N] with a `vector` (vertices, 3) [m]."""
@@ -158,10 +158,10 @@ class SymmetricBlocks:
         """The whole matrix (3 vertices, 3 vertices) [N/m]."""
         count = len(self.starts) - 1
         rows = np.repeat(np.arange(count), np.diff(self.starts))
-        whole = np.zeros((count, 3, count, 3))
-        whole[self.columns, :, rows] = self.blocks.transpose(0, 2, 1)
-        whole[rows, :, self.columns] = self.blocks
-        return whole.reshape(3 * count, 3 * count)
+        dense = np.zeros((count, 3, count, 3))
+        dense[self.columns, :, rows] = self.blocks.transpose(0, 2, 1)
+        dense[rows, :, self.columns] = self.blocks
+        return dense.reshape(3 * count, 3 * count)
 
 
 def _pair_keys(elements: Tensor, count: int) -> Tensor:
