@@ -7,12 +7,10 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar
 from copy import copy
-from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, get_args, get_origin
 
 import typer
-from typer.core import TyperCommand, TyperGroup
 
 from pb4u.errors import InputError, noted
 from pb4u.export.registry import is_same_file, would_overwrite, written_files
@@ -27,93 +25,6 @@ if TYPE_CHECKING:
 
 Switch: TypeAlias = Literal["on", "off"]
 SHAPE_EXAMPLES = "such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of an SMPL-family file"
-
-
-class _Switches:
-    """Names no type beside a switch, which takes no value: `--plan`, not `--plan <bool>`.
-
-    A `--help` that is not given is no value to convert either: for that typer would load pydantic, a third of a second.
-    """
-
-    def get_params(self, ctx: Any) -> list[Any]:
-        """Arguments and options of a verb, help included."""
-        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
-        for each in params:
-            if getattr(each, "is_flag", False):
-                each.metavar = ""
-            if each.name == "help":
-                each.default = False
-        return params
-
-
-_WHOLE = "pb4u.whole_help"
-"""Key of what the help of a call shows: all options, or those that most calls have."""
-
-
-def _show_all(context: typer.Context, asked: bool) -> None:
-    if asked:
-        context.meta[_WHOLE] = True
-        print(context.get_help())
-        raise typer.Exit
-
-
-HelpAllFlag: TypeAlias = Annotated[
-    bool, typer.Option("--help-all", is_eager=True, callback=_show_all, help="Show all options and exit.")
-]
-"""Flag of a verb whose help is brief."""
-
-
-class Verb(_Switches, TyperCommand):
-    """A verb.
-
-    Attributes:
-        brief: names of the options that its help shows, where `--help-all` shows the others; empty where it shows all.
-    """
-
-    brief: ClassVar[frozenset[str]] = frozenset()
-
-    def get_params(self, ctx: Any) -> list[Any]:
-        """Arguments and options of the verb; hidden are those that its brief help leaves out."""
-        params = super().get_params(ctx)
-        if self.brief:
-            for each in params:
-                each.hidden = not ctx.meta.get(_WHOLE) and each.name not in {*self.brief, "help", "help_all"}
-        return params
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Values of a verb; of an unknown option the nearest one is named, where all similar ones would be by name."""
-        try:
-            return super().parse_args(ctx, args)
-        except Exception as error:
-            if similar := getattr(error, "possibilities", None):
-                error.possibilities = get_close_matches(error.option_name, similar, 1, 0.0)  # type: ignore[attr-defined]
-            raise
-
-
-def brief_verb(*options: str) -> type[Verb]:
-    """A verb whose help shows few of its options; it takes a `HelpAllFlag`.
-
-    Args:
-        options: names of those.
-    """
-    return type("BriefVerb", (Verb,), {"brief": frozenset(options)})
-
-
-_ELSEWHERE = {"export": "convert", "render": "convert", "play": "view", "show": "view", "run": "simulate"}
-"""What other programs call a verb -> its name here."""
-
-
-class Verbs(_Switches, TyperGroup):
-    """A group of verbs."""
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The verb that is called; of an unknown one the nearest is named."""
-        asked = args[0]
-        begun = [verb for verb in self.commands if verb.startswith(asked)]
-        near = [_ELSEWHERE.get(asked, ""), *begun, *get_close_matches(asked, self.commands)]
-        if asked not in self.commands and (known := [verb for verb in near if verb in self.commands]):
-            ctx.fail(f"There is no command '{asked}'; did you mean '{known[0]}'?")
-        return super().resolve_command(ctx, args)
 
 
 _TOLD: ContextVar[Sequence[str]] = ContextVar("told", default=())
