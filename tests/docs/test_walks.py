@@ -25,7 +25,7 @@ from pb4u.io.toml_file import tomllib
 from pb4u.pattern.garmentcode import record_of
 from pb4u.scene.trajectory import Trajectory
 
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::pb4u.errors.InputWarning")]
+pytestmark = pytest.mark.filterwarnings("ignore::pb4u.errors.InputWarning")
 PAGE = "docs/guides/from_start_to_end.md"
 SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", (ROOT / PAGE).read_text(), re.MULTILINE | re.DOTALL))
 MIXAMO = {theirs: ours for ours, theirs in renaming("MakeHuman").items()}
@@ -106,7 +106,12 @@ def test_every_section_is_walked() -> None:
     assert list(SECTIONS) == list(WALKS)
 
 
-@pytest.mark.parametrize("title", WALKS)
+SLOW = [title for title in WALKS if title != "A sewing pattern"]
+
+
+@pytest.mark.parametrize(
+    "title", [pytest.param(title, marks=[pytest.mark.slow] if title in SLOW else []) for title in WALKS]
+)
 def test_a_section_runs_from_top_to_bottom(
     title: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
