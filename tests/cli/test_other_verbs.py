@@ -341,6 +341,8 @@ def test_info_lists_extras(pb4u: Callable) -> None:
     ("arguments", "says"),
     [
         (("export", "a.npz"), "did you mean 'convert'?"),
+        (("dataset", "a.toml"), "did you mean 'batch'?"),
+        (("studio",), "did you mean 'view'?"),
         (("sim",), "did you mean 'simulate'?"),
         (("chekc",), "did you mean 'check'?"),
         (("assets", "wirte"), "did you mean 'write'?"),

@@ -20,22 +20,22 @@ class _Switches:
     def get_params(self, ctx: Any) -> list[Any]:
         """Arguments and options of a verb, help included."""
         params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
-        for each in params:
-            if getattr(each, "is_flag", False):
-                each.metavar = ""
-            if each.name == "help":
-                each.default = False
+        for parameter in params:
+            if getattr(parameter, "is_flag", False):
+                parameter.metavar = ""
+            if parameter.name == "help":
+                parameter.default = False
         return params
 
 
 _WHOLE = "pb4u.whole_help"
 """Key of what the help of a call shows: all options, or those that most calls have."""
-_KEPT = ("Default:", "Repeatable")
+_ALSO = ("Default:", "Repeatable")
 """How the sentences begin that a brief help has beside the first of an option."""
 
 
-def _show_all(context: typer.Context, asked: bool) -> None:
-    if asked:
+def _show_all(context: typer.Context, is_given: bool) -> None:
+    if is_given:
         context.meta[_WHOLE] = True
         print(context.get_help())
         raise typer.Exit
@@ -61,11 +61,11 @@ class Verb(_Switches, TyperCommand):
         if not self.brief or ctx.meta.get(_WHOLE):
             super().format_help(ctx, formatter)
             return
-        shown = copy(self)
-        shown.brief = ()
-        named = {each.name: each for each in self.params}
-        shown.params = [_shortened(named[name]) for name in (*self.brief, "help_all")]
-        shown.format_help(ctx, formatter)
+        short = copy(self)
+        short.brief = ()
+        by_name = {parameter.name: parameter for parameter in self.params}
+        short.params = [_shortened(by_name[name]) for name in (*self.brief, "help_all")]
+        short.format_help(ctx, formatter)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Values of a verb; of an unknown option the nearest one is named, where all similar ones would be by name."""
@@ -90,14 +90,14 @@ _ASIDE = re.compile(r" \([^)]*\)|; .*(?=\.$)")
 """What a brief help leaves out of a sentence: what stands in brackets, and what follows a semicolon."""
 
 
-def _shortened(param: Any) -> Any:
+def _shortened(parameter: Any) -> Any:
     """An option under no heading, with the first sentence of its text, its default, and whether it is repeatable."""
-    short = copy(param)
-    first, *others = re.split(r"(?<=[.]) (?=[A-Z])", param.help or "")
-    kept = [first, *(sentence for sentence in others if sentence.startswith(_KEPT))]
-    short.help = " ".join(_ASIDE.sub("", sentence) for sentence in kept)
-    if param.metavar and param.param_type_name == "option":
-        short.metavar = re.sub(r"\[.*\]", "", param.metavar)  # the name of a part before the value
+    short = copy(parameter)
+    first, *others = re.split(r"(?<=[.]) (?=[A-Z])", parameter.help or "")
+    sentences = [first, *(sentence for sentence in others if sentence.startswith(_ALSO))]
+    short.help = " ".join(_ASIDE.sub("", sentence) for sentence in sentences)
+    if parameter.metavar and parameter.param_type_name == "option":
+        short.metavar = re.sub(r"\[.*\]", "", parameter.metavar)  # the name of a part before the value
     short.rich_help_panel = None
     return short
 
@@ -114,9 +114,9 @@ class Verbs(_Switches, TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The verb that is called; of an unknown one the nearest is named."""
-        asked = args[0]
-        begun = [verb for verb in self.commands if verb.startswith(asked)]
-        near = [_ELSEWHERE.get(asked, ""), *begun, *get_close_matches(asked, self.commands)]
-        if asked not in self.commands and (known := [verb for verb in near if verb in self.commands]):
-            ctx.fail(f"There is no command '{asked}'; did you mean '{known[0]}'?")
+        name = args[0]
+        begun = [verb for verb in self.commands if verb.startswith(name)]
+        near = [_ELSEWHERE.get(name, ""), *begun, *get_close_matches(name, self.commands)]
+        if name not in self.commands and (verbs := [verb for verb in near if verb in self.commands]):
+            ctx.fail(f"There is no command '{name}'; did you mean '{verbs[0]}'?")
         return super().resolve_command(ctx, args)
