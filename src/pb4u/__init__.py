@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from pb4u.registry import PROVIDERS
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 _HOMES = {
     "AnimatedBody": "pb4u.body.animated_body:AnimatedBody",

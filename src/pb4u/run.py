@@ -151,7 +151,7 @@ class Run:
     Args:
         garments: Garments worn, inner first; in Python one alone too.
         body: woman, man, anny (extra), a model file of the SMPL family, a rigged character (.glb, .gltf, .vrm),
-            a sequence of vertices, or none: a garment file then hangs from its pins, or falls to the ground.
+            a sequence of vertices, or none (a garment file then hangs from its pins, or falls to the ground).
         body_shape: Shape of the body, such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of a file of the SMPL
             family; `pb4u assets` lists the names.
         clip: Clip that a rigged character performs. Default: its first.

@@ -21,8 +21,6 @@ from pb4u.body.sequence_files import write_vertex_sequence
 from pb4u.garment.library import build_garment
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.obj_file import read_obj, write_obj
-from pb4u.options import described
-from pb4u.run import Run, WornGarment
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.models import default_model
@@ -343,6 +341,8 @@ def test_info_lists_extras(pb4u: Callable) -> None:
     ("arguments", "says"),
     [
         (("export", "a.npz"), "did you mean 'convert'?"),
+        (("dataset", "a.toml"), "did you mean 'batch'?"),
+        (("studio",), "did you mean 'view'?"),
         (("sim",), "did you mean 'simulate'?"),
         (("chekc",), "did you mean 'check'?"),
         (("assets", "wirte"), "did you mean 'write'?"),
@@ -362,45 +362,6 @@ def test_an_unknown_verb_or_option_names_the_nearest_one(
 def test_the_version_is_told_before_anything_else(pb4u: Callable) -> None:
     ended = pb4u("--version")
     assert (ended.code, ended.out) == (0, f"pb4u {package.__version__}\n")
-
-
-@pytest.mark.parametrize(
-    ("verb", "says"),
-    [
-        (
-            ("simulate", "--help-all"),
-            ("beta0=1.5", "GLB is within 1 mm", "garment alone", "Blender", "solver always runs on the"),
-        ),
-        (("convert",), ("GLB is within 1 mm", "garment alone", "Blender")),
-        (("check",), ("beta0=1.5",)),
-        (("assets", "write"), ("beta0=1.5", "takes as --body")),
-    ],
-)
-def test_help_says_what_has_to_be_known(pb4u: Callable, verb: tuple[str, ...], says: tuple[str, ...]) -> None:
-    text = " ".join(pb4u(*verb, *([] if "--help-all" in verb else ["--help"])).out.replace("│", " ").split())
-    assert [phrase for phrase in says if phrase not in text] == []
-
-
-def test_help_of_simulate_is_brief_and_names_all_options_when_asked(
-    pb4u: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "100")
-    brief, whole = pb4u("simulate", "--help").out, pb4u("simulate", "--help-all").out
-    assert len(brief.splitlines()) < 70
-    assert "--help-all" in brief
-    assert "--lead-in" not in brief
-    named = {f"--{name.replace('_', '-')}" for kind in (Run, WornGarment) for name in described(kind)}
-    assert {name for name in named if name not in whole} <= {"--garments", "--tacks", "--tucked", "--environment"}
-
-
-@pytest.mark.parametrize("verb", ["", "simulate", "convert", "train", "evaluate", "batch", "view", "assets write"])
-def test_help_cuts_no_name_and_names_no_type_of_a_switch(
-    pb4u: Callable, monkeypatch: pytest.MonkeyPatch, verb: str
-) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
-    told = pb4u(*verb.split(), "--help").out
-    assert "--help" in told
-    assert [line for line in told.splitlines() if "bool" in line or "…" in line] == []
 
 
 def test_check_reads_a_garment_of_a_dictionary_and_names_the_body_file(pb4u: Callable, tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 What stands in `console` blocks, and every Python snippet, is run, on meshes of a few hundred triangles:
 `made_small` and `small_scenes` say how. What stands in `sh` blocks takes minutes, accelerators or absent files:
-its verbs, flags and values are parsed, its scripts and extras queried, and it is not run. Other files are read.
+its verbs, flags and values are parsed, its scripts and extras queried, and it is not run, but for those of one page
+(`test_walks.py`). Other files are read.
 """
 
 from __future__ import annotations
@@ -129,8 +130,8 @@ def test_what_does_not_exist_is_found() -> None:
         understood(["pip", "install", "pb4u[viewer]"])
 
 
-def made_small(words: list[str]) -> list[str]:
-    """The same command on a small mesh for a few frames, by bare skinning unless it names a model."""
+def made_small(words: list[str], model: str = "skinning") -> list[str]:
+    """The same command on a small mesh for a few frames, by `model` unless it names one."""
     verb, rest = words[1], list(words[2:])
     if verb == "check" and has_built_in_garment(rest):
         return [*words, "--triangles", SMALL["--triangles"]]
@@ -145,7 +146,7 @@ def made_small(words: list[str]) -> list[str]:
             rest[k + 1] = f"{name}{equals}{value}"
         if not places and (flag != "--triangles" or has_built_in_garment(rest)):
             rest += [flag, value]
-    return ["pb4u", verb, *rest, *(() if "--model" in rest else ("--model", "skinning"))]
+    return ["pb4u", verb, *rest, *(() if "--model" in rest else ("--model", model))]
 
 
 def has_built_in_garment(words: list[str]) -> bool:
@@ -240,7 +241,7 @@ def test_every_file_that_is_shown_can_be_read(block: Block, tmp_path: Path) -> N
     for name in re.findall(r"outfits/\w+\.toml", block.text):
         (tmp_path / name).write_text('[[garments]]\ngarment = "skirt"\n')
     runs = read_jobs(file)
-    counts = {"clips.toml": 200, "outfits/office": 17}
+    counts = {"clips.toml": 200, "outfits/office": 17, "fifty.toml": 50}
     (wanted,) = [count for mark, count in counts.items() if mark in block.text]
     assert len(runs) == wanted
 

@@ -266,3 +266,17 @@ def test_bad_requests_are_refused_in_one_sentence(bodies: dict[str, ShapedBody])
     nameless = renamed(body, {"wrist.L": "somewhere"}, "other")
     with pytest.raises(InputError, match="cannot be fitted"):
         build_garment("tshirt", nameless)
+
+
+def test_a_body_that_lies_at_rest_is_refused() -> None:
+    woman = load_body("woman")
+    skeleton = woman.skeleton
+    lying = replace(
+        woman,
+        name="lying",
+        vertices=woman.vertices[:, [0, 2, 1]],
+        faces=woman.faces[:, ::-1],
+        skeleton=type(skeleton)(skeleton.names, skeleton.parents, skeleton.joints[:, [0, 2, 1]]),
+    )
+    with pytest.raises(InputError, match='"lying" lies or bends at rest; turn its file'):
+        build_garment("tshirt", lying, SMALL)

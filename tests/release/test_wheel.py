@@ -115,8 +115,13 @@ def test_an_empty_environment_simulates_from_another_folder(wheel: Path, tmp_pat
     assert {file.name for file in elsewhere.iterdir()} == {"walk.npz", "walk.glb"}
 
 
-def test_the_changelog_dates_the_version_and_the_add_on_has_it() -> None:
+def test_the_changelog_dates_the_version_and_all_that_names_it_has_it() -> None:
     text = (ROOT / "CHANGELOG.md").read_text()
-    assert text.index("## [Unreleased]") < text.index(f"## [{pb4u.__version__}] - 20")
+    heading = f"## [{pb4u.__version__}] - 20"
+    assert text.index("## [Unreleased]") < text.index(heading)
     manifest = (ROOT / "integrations" / "blender" / "blender_manifest.toml").read_text()
     assert f'\nversion = "{pb4u.__version__}"' in manifest
+    date = text[text.index(heading) :].partition(" - ")[2][:10]
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert f"\nversion: {pb4u.__version__}\ndate-released: {date}\n" in citation
+    assert f"pb4u-{pb4u.__version__}.zip" in (ROOT / "docs" / "blender.md").read_text()

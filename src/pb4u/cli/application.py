@@ -20,7 +20,7 @@ from pb4u.cli import (
     train,
     trajectory_verbs,
 )
-from pb4u.cli.console import Verb, Verbs, brief_verb
+from pb4u.cli.verbs import Verbs, brief_verb
 
 app = typer.Typer(
     cls=Verbs,
@@ -33,22 +33,20 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-app.command(cls=brief_verb("scene", "garment", "material", "triangles", "body", "motion", "frames", "model", "out"))(
-    simulate.simulate
-)
-for verb in (
-    trajectory_verbs.view,
-    check.check,
-    dress.dress,
-    measure_body.measure_body,
-    trajectory_verbs.convert,
-    convert_weights.convert_weights,
-    train.train,
-    evaluate.evaluate,
-    batch.batch,
-    info.info,
+for verb, brief in (
+    (simulate.simulate, ("scene", "garment", "material", "triangles", "body", "motion", "frames", "model", "out")),
+    (trajectory_verbs.view, ()),
+    (check.check, ()),
+    (dress.dress, ()),
+    (measure_body.measure_body, ()),
+    (trajectory_verbs.convert, ("trajectory", "out", "every", "range_", "on", "view", "size")),
+    (convert_weights.convert_weights, ()),
+    (train.train, ()),
+    (evaluate.evaluate, ("protocol", "models", "garments", "motions", "levels", "frames", "workers", "out", "retry")),
+    (batch.batch, ("jobs", "out", "workers", "half", "plan", "retry")),
+    (info.info, ()),
 ):
-    app.command(cls=Verb)(verb)
+    app.command(cls=brief_verb(*brief))(verb)
 app.add_typer(assets.group, name="assets")
 
 

@@ -8,17 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pb4u.body.built_in import DEFAULT_BODY
-from pb4u.cli.console import (
-    BodyShape,
-    JsonFlag,
-    ShapeFlag,
-    Verb,
-    Verbs,
-    check_json_target,
-    tell,
-    verb,
-    write_json,
-)
+from pb4u.cli.console import BodyShape, JsonFlag, ShapeFlag, check_json_target, tell, verb, write_json
+from pb4u.cli.verbs import Verb, Verbs
 from pb4u.errors import InputError, refuse_unknown
 from pb4u.io.atomic_file import check_writable
 from pb4u.progress import progress_bar

@@ -20,6 +20,7 @@ from pb4u.cli.console import (
     verb,
     write_json,
 )
+from pb4u.cli.verbs import HelpAllFlag
 from pb4u.errors import Pb4uError
 from pb4u.progress import progress_bar
 
@@ -42,6 +43,7 @@ def batch(
     plan: Annotated[bool, typer.Option("--plan")] = False,
     retry: Annotated[bool, typer.Option("--retry")] = False,
     json: JsonFlag = None,
+    help_all: HelpAllFlag = False,
 ) -> None:
     """Make a dataset: many clips with an index of every label and metric.
 
@@ -61,6 +63,7 @@ def batch(
         plan: Say what it takes on the disk, and make nothing.
         retry: Try clips again that failed before.
         json: file for the result.
+        help_all: shows all options.
 
     Raises:
         InputError: a number is out of range, or something is unknown or unusable.

@@ -7,12 +7,10 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar
 from copy import copy
-from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, get_args, get_origin
 
 import typer
-from typer.core import TyperCommand, TyperGroup
 
 from pb4u.errors import InputError, noted
 from pb4u.export.registry import is_same_file, would_overwrite, written_files
@@ -29,93 +27,6 @@ Switch: TypeAlias = Literal["on", "off"]
 SHAPE_EXAMPLES = "such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of an SMPL-family file"
 
 
-class _Switches:
-    """Names no type beside a switch, which takes no value: `--plan`, not `--plan <bool>`.
-
-    A `--help` that is not given is no value to convert either: for that typer would load pydantic, a third of a second.
-    """
-
-    def get_params(self, ctx: Any) -> list[Any]:
-        """Arguments and options of a verb, help included."""
-        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
-        for parameter in params:
-            if getattr(parameter, "is_flag", False):
-                parameter.metavar = ""
-            if parameter.name == "help":
-                parameter.default = False
-        return params
-
-
-_WHOLE = "pb4u.whole_help"
-"""Key of what the help of a call shows: all options, or those that most calls have."""
-
-
-def _show_all(context: typer.Context, is_given: bool) -> None:
-    if is_given:
-        context.meta[_WHOLE] = True
-        print(context.get_help())
-        raise typer.Exit
-
-
-HelpAllFlag: TypeAlias = Annotated[
-    bool, typer.Option("--help-all", is_eager=True, callback=_show_all, help="Show all options and exit.")
-]
-"""Flag of a verb whose help is brief."""
-
-
-class Verb(_Switches, TyperCommand):
-    """A verb.
-
-    Attributes:
-        brief: names of the options that its help shows, where `--help-all` shows the others; empty where it shows all.
-    """
-
-    brief: ClassVar[frozenset[str]] = frozenset()
-
-    def get_params(self, ctx: Any) -> list[Any]:
-        """Arguments and options of the verb; hidden are those that its brief help leaves out."""
-        params = super().get_params(ctx)
-        if self.brief:
-            for parameter in params:
-                parameter.hidden = not ctx.meta.get(_WHOLE) and parameter.name not in {*self.brief, "help", "help_all"}
-        return params
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Values of a verb; of an unknown option the nearest one is named, where all similar ones would be by name."""
-        try:
-            return super().parse_args(ctx, args)
-        except Exception as error:
-            if similar := getattr(error, "possibilities", None):
-                error.possibilities = get_close_matches(error.option_name, similar, 1, 0.0)  # type: ignore[attr-defined]
-            raise
-
-
-def brief_verb(*options: str) -> type[Verb]:
-    """A verb whose help shows few of its options; it takes a `HelpAllFlag`.
-
-    Args:
-        options: names of those.
-    """
-    return type("BriefVerb", (Verb,), {"brief": frozenset(options)})
-
-
-_ELSEWHERE = {"export": "convert", "render": "convert", "play": "view", "show": "view", "run": "simulate"}
-"""What other programs call a verb -> its name here."""
-
-
-class Verbs(_Switches, TyperGroup):
-    """A group of verbs."""
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The verb that is called; of an unknown one the nearest is named."""
-        name = args[0]
-        begun = [verb for verb in self.commands if verb.startswith(name)]
-        near = [_ELSEWHERE.get(name, ""), *begun, *get_close_matches(name, self.commands)]
-        if name not in self.commands and (verbs := [verb for verb in near if verb in self.commands]):
-            ctx.fail(f"There is no command '{name}'; did you mean '{verbs[0]}'?")
-        return super().resolve_command(ctx, args)
-
-
 _TOLD: ContextVar[Sequence[str]] = ContextVar("told", default=())
 """What the verb that runs has warned of."""
 
@@ -130,37 +41,37 @@ def verb(**groups: Mapping[str, Any]) -> Callable[[Callable[..., None]], Callabl
 
     def made(command: Callable[..., None]) -> Callable[..., None]:
         parameters, texts = [], argument_texts(command)
-        for parameter in inspect.signature(command, eval_str=True).parameters.values():
-            flags = groups.get(parameter.name) or {parameter.name: _with_help(parameter, texts.get(parameter.name))}
-            default = None if parameter.name in groups else parameter.default
+        for own in inspect.signature(command, eval_str=True).parameters.values():
+            flags = groups.get(own.name) or {own.name: _with_help(own, texts.get(own.name))}
+            default = None if own.name in groups else own.default
             parameters += [
                 inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
                 for name, kind in flags.items()
             ]
 
-        def call(**values: Any) -> None:
-            gathered = {argument: {name: values.pop(name) for name in flags} for argument, flags in groups.items()}
-            with noted() as notes:
-                token = _TOLD.set(notes)
+        def call(**given: Any) -> None:
+            gathered = {argument: {name: given.pop(name) for name in flags} for argument, flags in groups.items()}
+            with noted() as told:
+                token = _TOLD.set(told)
                 try:
-                    command(**gathered, **values)
+                    command(**gathered, **given)
                 finally:
                     _TOLD.reset(token)
 
         call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        call.__annotations__ = {each.name: each.annotation for each in parameters}
         call.__doc__, call.__name__ = command.__doc__, command.__name__
         return call
 
     return made
 
 
-def _with_help(parameter: inspect.Parameter, text: str | None) -> Any:
+def _with_help(own: inspect.Parameter, text: str | None) -> Any:
     """Type of an argument as typer reads it, with its text as help where it has no other."""
-    is_told = get_origin(parameter.annotation) is Annotated
-    kind, offered = get_args(parameter.annotation)[:2] if is_told else (parameter.annotation, None)
+    is_told = get_origin(own.annotation) is Annotated
+    kind, offered = get_args(own.annotation)[:2] if is_told else (own.annotation, None)
     if offered is None:
-        offered = typer.Argument() if parameter.default is inspect.Parameter.empty else typer.Option()
+        offered = typer.Argument() if own.default is inspect.Parameter.empty else typer.Option()
     elif offered.help is None:
         offered = copy(offered)
     offered.help = offered.help or text
@@ -224,11 +135,11 @@ def wrote(targets: Iterable[Path], frames: int) -> str:
         targets: paths that were exported to.
         frames: number of frames.
     """
-    names: list[str] = []
+    told: list[str] = []
     for target in targets:
         files = [str(file) for file in written_files(target, frames)]
-        names += [f"{files[0]} to {files[-1]}"] if len(files) > 2 else files
-    return f"Wrote {', '.join(dict.fromkeys(names))}"
+        told += [f"{files[0]} to {files[-1]}"] if len(files) > 2 else files
+    return f"Wrote {', '.join(dict.fromkeys(told))}"
 
 
 def check_json_target(target: str | None) -> None:
@@ -261,8 +172,8 @@ def keep_inputs(
     Raises:
         InputError: two of them are one file.
     """
-    paths = [named_file(name) for name in inputs if isinstance(name, str | Path)]
-    read = [file for path in paths if path.exists() for file in with_companions(path)]
+    given = [named_file(name) for name in inputs if isinstance(name, str | Path)]
+    read = [file for path in given if path.exists() for file in with_companions(path)]
     written: list[tuple[Path, Path]] = []
     single = [(flag, Path(path)) for flag, path in outputs if path is not None and str(path) != "-"]
     for flag, path, is_export in [*((f, p, False) for f, p in single), *((called, p, True) for p in exports)]:

@@ -12,6 +12,7 @@ import typer
 
 from pb4u.cli.console import RayFlag, WorkersFlag, check_json_target, keep_inputs, pool_of, say, tell, verb
 from pb4u.cli.record_flags import given_values, record_flags
+from pb4u.cli.verbs import HelpAllFlag
 from pb4u.errors import InputError, Pb4uError
 from pb4u.export.registry import is_same_file
 from pb4u.paper.evaluation_request import EvaluationRequest
@@ -28,6 +29,7 @@ def evaluate(
     out: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
     plots: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
     json: Annotated[str | None, typer.Option(metavar="FILE|-")] = None,
+    help_all: HelpAllFlag = False,
 ) -> None:
     """Run a protocol of the paper: tables and plots, beside the paper's own figures.
 
@@ -42,6 +44,7 @@ def evaluate(
         out: Folder of the run. Default: evaluate_PROTOCOL.
         plots: Also put the plots into this folder.
         json: Also write results.json there; '-' is standard output.
+        help_all: shows all options.
 
     Raises:
         InputError: a number is out of range, or something is unknown or unusable.

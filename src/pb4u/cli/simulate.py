@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pb4u.cli.console import HelpAllFlag, check_json_target, keep_inputs, say, verb, write_json, wrote
+from pb4u.cli.console import check_json_target, keep_inputs, say, verb, write_json, wrote
 from pb4u.cli.outputs import OUTPUT_FLAGS, Outputs
 from pb4u.cli.picture_flags import PICTURE_FLAGS, view_of
 from pb4u.cli.record_flags import given_values
 from pb4u.cli.run_flags import run_flags, run_of
+from pb4u.cli.verbs import HelpAllFlag
 from pb4u.errors import InputError, Interrupted, Pb4uError, noted, warn
 from pb4u.export.registry import check_bones, check_target, export, is_drawn
 from pb4u.io.atomic_file import check_writable

@@ -10,18 +10,10 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from pb4u.cli.console import (
-    FrameRange,
-    JsonFlag,
-    check_json_target,
-    keep_inputs,
-    say,
-    tell,
-    verb,
-    wrote,
-)
+from pb4u.cli.console import FrameRange, JsonFlag, check_json_target, keep_inputs, say, tell, verb, wrote
 from pb4u.cli.outputs import FORMATS, OUTPUT_FLAGS
 from pb4u.cli.picture_flags import PICTURE_FLAGS, view_of
+from pb4u.cli.verbs import HelpAllFlag
 from pb4u.progress import progress_bar
 
 
@@ -36,6 +28,7 @@ def convert(
     glb: Mapping[str, Any],
     picture: Mapping[str, Any],
     json: JsonFlag = None,
+    help_all: HelpAllFlag = False,
 ) -> None:
     """Write a trajectory in another format.\f
 
@@ -48,6 +41,7 @@ def convert(
         glb: number of bones of a .glb.
         picture: the fields of `PictureRequest`.
         json: file for the result.
+        help_all: shows all options.
     """
     from pb4u.compat.result_pickle import open_trajectory
     from pb4u.export.registry import check_bones, check_target, export

@@ -114,7 +114,7 @@ class BodyForm:
         body: the body.
 
     Raises:
-        InputError: the skeleton lacks the joints of shoulders, arms, hips or legs.
+        InputError: the skeleton lacks the joints of shoulders, arms, hips or legs, or does not stand.
 
     Attributes:
         neck: (3,) base of the neck [m].
@@ -138,6 +138,13 @@ class BodyForm:
         self._arm_share = sum(
             (_share_of_bone(body, names["upper_arm"].format(side)) for side in sides), np.zeros(len(body.vertices))
         )
+        shoulders, hips = (np.mean([limb.joints[0] for limb in limbs], axis=0) for limbs in (self.arms, self.legs))
+        trunk = shoulders - hips
+        if trunk[1] < 0.7 * np.linalg.norm(trunk):
+            raise InputError(
+                f'The built-in garments are cut for a body that stands, and "{body.name}" lies or bends at rest; turn '
+                "its file so that Y is up, or give a garment file instead."
+            )
         self.scale = body.height / 1.75
         self.arm_skin: np.ndarray = self.arms[0].belongs | self.arms[1].belongs
         self.hand_skin: np.ndarray = self.arms[0].tip | self.arms[1].tip
@@ -290,7 +297,7 @@ def form_of(body: ShapedBody) -> BodyForm:
         body: the resting body.
 
     Raises:
-        InputError: its skeleton lacks the joints of shoulders, arms, hips or legs.
+        InputError: its skeleton lacks the joints of shoulders, arms, hips or legs, or does not stand.
     """
     return body.kept("form", BodyForm)
 
