@@ -41,37 +41,37 @@ def verb(**groups: Mapping[str, Any]) -> Callable[[Callable[..., None]], Callabl
 
     def made(command: Callable[..., None]) -> Callable[..., None]:
         parameters, texts = [], argument_texts(command)
-        for own in inspect.signature(command, eval_str=True).parameters.values():
-            flags = groups.get(own.name) or {own.name: _with_help(own, texts.get(own.name))}
-            default = None if own.name in groups else own.default
+        for parameter in inspect.signature(command, eval_str=True).parameters.values():
+            flags = groups.get(parameter.name) or {parameter.name: _with_help(parameter, texts.get(parameter.name))}
+            default = None if parameter.name in groups else parameter.default
             parameters += [
                 inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
                 for name, kind in flags.items()
             ]
 
-        def call(**given: Any) -> None:
-            gathered = {argument: {name: given.pop(name) for name in flags} for argument, flags in groups.items()}
-            with noted() as told:
-                token = _TOLD.set(told)
+        def call(**values: Any) -> None:
+            gathered = {argument: {name: values.pop(name) for name in flags} for argument, flags in groups.items()}
+            with noted() as notes:
+                token = _TOLD.set(notes)
                 try:
-                    command(**gathered, **given)
+                    command(**gathered, **values)
                 finally:
                     _TOLD.reset(token)
 
         call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        call.__annotations__ = {each.name: each.annotation for each in parameters}
+        call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         call.__doc__, call.__name__ = command.__doc__, command.__name__
         return call
 
     return made
 
 
-def _with_help(own: inspect.Parameter, text: str | None) -> Any:
+def _with_help(parameter: inspect.Parameter, text: str | None) -> Any:
     """Type of an argument as typer reads it, with its text as help where it has no other."""
-    is_told = get_origin(own.annotation) is Annotated
-    kind, offered = get_args(own.annotation)[:2] if is_told else (own.annotation, None)
+    is_told = get_origin(parameter.annotation) is Annotated
+    kind, offered = get_args(parameter.annotation)[:2] if is_told else (parameter.annotation, None)
     if offered is None:
-        offered = typer.Argument() if own.default is inspect.Parameter.empty else typer.Option()
+        offered = typer.Argument() if parameter.default is inspect.Parameter.empty else typer.Option()
     elif offered.help is None:
         offered = copy(offered)
     offered.help = offered.help or text
@@ -135,11 +135,11 @@ def wrote(targets: Iterable[Path], frames: int) -> str:
         targets: paths that were exported to.
         frames: number of frames.
     """
-    told: list[str] = []
+    names: list[str] = []
     for target in targets:
         files = [str(file) for file in written_files(target, frames)]
-        told += [f"{files[0]} to {files[-1]}"] if len(files) > 2 else files
-    return f"Wrote {', '.join(dict.fromkeys(told))}"
+        names += [f"{files[0]} to {files[-1]}"] if len(files) > 2 else files
+    return f"Wrote {', '.join(dict.fromkeys(names))}"
 
 
 def check_json_target(target: str | None) -> None:
