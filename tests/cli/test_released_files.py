@@ -148,7 +148,7 @@ def test_no_file_is_read_by_running_it(tmp_path: Path, kind: str) -> None:
         (["--garment", "{files}/absent.pkl:coat"], "no garment file"),
         (["--garment", "{files}/garments_dict.pkl:dress@5"], "no coarse levels around 5"),
         (["--motion", "{files}/garments_dict.pkl"], "has no body_pose"),
-        (["--body", "woman"], "SMPL body"),
+        (["--body", "woman"], "of the SMPL family"),
         (["--omitted", "{files}/recording.pkl"], "vertex_type"),
         (["--model", "{files}/recording.pkl"], "no whole safetensors file"),
         (["--crop", "5:90"], "not inside the recording"),

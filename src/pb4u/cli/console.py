@@ -172,8 +172,8 @@ def keep_inputs(
     Raises:
         InputError: two of them are one file.
     """
-    given = [named_file(name) for name in inputs if isinstance(name, str | Path)]
-    read = [file for path in given if path.exists() for file in with_companions(path)]
+    paths = [named_file(name) for name in inputs if isinstance(name, str | Path)]
+    read = [file for path in paths if path.exists() for file in with_companions(path)]
     written: list[tuple[Path, Path]] = []
     single = [(flag, Path(path)) for flag, path in outputs if path is not None and str(path) != "-"]
     for flag, path, is_export in [*((f, p, False) for f, p in single), *((called, p, True) for p in exports)]:
