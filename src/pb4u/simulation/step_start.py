@@ -25,12 +25,13 @@ class BodyMotionWarmStart:
     on across the garment; on a fine mesh that is many edges. Skinning gives that motion at any resolution.
 
     Args:
-        potential: the energies; those of cloth against cloth do not count, as shares of a motion may cross.
+        potential: the energies; those of cloth against cloth do not count, as shares of a motion may cross. Where it
+            keeps bodies off what lies between vertices, the start has the heights over the skin that a solve keeps.
         shares: to choose from, besides 0, which is free flight.
     """
 
     def __init__(self, potential: IncrementalPotential, shares: tuple[float, ...] = WARM_START_SHARES) -> None:
-        self.potential = potential.without_self_contact()
+        self.potential = potential
         self.shares = shares
 
     @torch.no_grad()
@@ -43,7 +44,7 @@ class BodyMotionWarmStart:
         free = integrate(step, torch.zeros_like(step.state.positions)).positions
         if step.skinned_motion is None:
             return torch.zeros_like(free)
-        garments, potential = step.garments, self.potential.of(step)
+        garments, potential = step.garments, self.potential.of(step).without_cloth()
         missing = step.skinned_motion - step.free_move
         missing = torch.where(garments.pinned[:, None], 0.0, missing)
         shares = constant((0.0, *self.shares), missing.dtype, missing.device)
@@ -90,7 +91,7 @@ def start_of(network: GraphNetwork, potential: IncrementalPotential) -> BodyMoti
         potential: the energies that choose it.
     """
     shares = network.configuration.warm_start_shares
-    return BodyMotionWarmStart(potential, shares) if shares else None
+    return BodyMotionWarmStart(potential.without_self_contact(), shares) if shares else None
 
 
 def start_accelerations(start: BodyMotionWarmStart | None, step: TimeStep) -> Tensor:
