@@ -171,7 +171,7 @@ def _with(content: dict[str, Any], **weights: torch.Tensor) -> dict[str, Any]:
             "another feature layout or size",
         ),
         ({**made_checkpoint(), "config": {"model": {"transformer": {}}}}, "no known method"),
-        ({**made_checkpoint(), "config": {"model": {"baselines": {"message_passing_steps": 5}}}}, "speak of 5"),
+        ({**made_checkpoint(), "config": {"model": {"baselines": {"message_passing_steps": 5}}}}, "settings say 5"),
     ],
 )  # fmt: skip
 def test_a_file_that_is_not_one_of_theirs_is_refused(tmp_path: Path, content: Any, told: str) -> None:

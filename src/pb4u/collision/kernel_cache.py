@@ -47,7 +47,7 @@ class KernelCache:
 
     @property
     def cache_path(self) -> str:
-        """Folder of the machine code."""
+        """Folder of the compiled kernels."""
         return str(self._files.cache_path)
 
     def load_overload(self, signature: Any, target: Any) -> Any:

@@ -78,7 +78,9 @@ def _with_world_edges(file: ReleasedFile, preset: Any) -> Any:
 def _require_steps(file: ReleasedFile, blocks: int) -> None:
     steps = file.setting("model", "*", "message_passing_steps", default=blocks)
     if steps != blocks or not blocks:
-        raise InputError(f"{file.path} holds {blocks} blocks, where its settings speak of {steps}.")
+        raise InputError(
+            f"{file.path} holds weights of {blocks} message-passing blocks, but its settings say {steps}; load it anew."
+        )
 
 
 def _pb4u_configuration(file: ReleasedFile, preset: Any) -> NetworkConfiguration:

@@ -52,7 +52,7 @@ class Polygons:
         return cls(np.full(len(faces), 3, dtype=np.int64), faces.reshape(-1), uv_corners)
 
     def each(self, of_corners: np.ndarray) -> Iterator[list[int]]:
-        """Values of the corners of one polygon after another.
+        """The values at the corners of each polygon, one polygon after another.
 
         Args:
             of_corners: (sum of sizes,) int64 value of each corner, such as `corners`.

@@ -218,7 +218,7 @@ class ColliderPose:
         return as_float64(self.positions)[self.colliders.touched[0]]
 
     def batch(self, worlds: int) -> PosedBatch | None:
-        """The surfaces of so many worlds for searches in tensors; None where there is none.
+        """The surfaces of the bodies of this many worlds, as tensors, to search for nearest points; None without any.
 
         Args:
             worlds: number of worlds.

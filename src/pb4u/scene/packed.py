@@ -175,7 +175,7 @@ class PackedGarments:
 
     @cached_property
     def world_offsets(self) -> tuple[int, ...]:
-        """First packed vertex of each world, and the total."""
+        """Number of the first vertex of each world in the pack, then the number of all vertices."""
         firsts = [self.vertex_offsets[self.worlds.index(world)] for world in range(self.world_count)]
         return (*firsts, self.vertex_count)
 

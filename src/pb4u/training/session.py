@@ -196,7 +196,8 @@ def _make_again(folder: RunFolder, configuration: TrainingConfiguration, record:
     """The data of a run that was left before it was written, or that travelled without it."""
     if record.get("data") != BUILT_IN:
         raise InputError(
-            f"{folder.path} has lost its data, which came from a pack or recordings; start the training again."
+            f"{folder.path} has lost its data, which came from a pack or recordings; "
+            "train from these into a new folder."
         )
     save_training_data(_collected(configuration, None), folder.data)
 

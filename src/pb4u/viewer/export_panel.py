@@ -150,7 +150,7 @@ def deliver(
         export(clip.trajectory(), target, say=say)
         files = sorted(Path(scratch).iterdir())
         if not files:
-            raise InputError(f"The exporter wrote no file for {suffix}.")
+            raise InputError(f"No {suffix} file was written; try another format, or pb4u convert, which may say why.")
         saved = None
         if folder is not None:
             names = _free_names(folder, stem, [file.name for file in files])

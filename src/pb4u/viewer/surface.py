@@ -169,7 +169,7 @@ class GarmentsSurface(Surface):
 
 
 class PaintedSurface(Surface):
-    """A colour at every vertex: three GLB meshes that take turns.
+    """A mesh with a colour at every vertex, shown by three GLB copies in turn, since a browser takes time to read one.
 
     A browser needs a moment to read a GLB and shows nothing meanwhile, so a frame is sent out of sight and revealed
     with the next one. The third keeps what was shown before alive, and with it the compiled shader.
