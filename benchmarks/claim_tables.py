@@ -1,11 +1,13 @@
 """The tables and the decisions of docs/science/claims.md, from the rows that `claims.py` writes.
 
 python benchmarks/claim_tables.py ROWS.jsonl [MORE.jsonl ..]
+python benchmarks/claim_tables.py docs/results/claims/rollouts.csv
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import math
 from collections import defaultdict
@@ -24,6 +26,25 @@ SIGNIFICANT = 0.05
 DRAWS = 10_000
 Row = dict[str, Any]
 Scene = tuple[str, str]
+
+
+def read(path: Path) -> list[Row]:
+    """Rollouts of a file of `claims.py`, or of a CSV file of the documentation.
+
+    Args:
+        path: of the file.
+    """
+    with path.open(newline="", encoding="utf-8") as stream:
+        if path.suffix != ".csv":
+            return [json.loads(line) for line in stream]
+        words = "garment", "motion", "arm", "scaling"
+        return [
+            {key: text if key in words else _value(text) for key, text in row.items()} for row in csv.DictReader(stream)
+        ]
+
+
+def _value(text: str) -> Any:
+    return json.loads(text) if text else None
 
 
 def page(rows: Sequence[Row]) -> str:
@@ -201,8 +222,7 @@ def _sentence(what: str, values: Sequence[float], sign: int) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rows", type=Path, nargs="+")
-    lines = (line for path in parser.parse_args().rows for line in path.read_text().splitlines())
-    print(page([json.loads(line) for line in lines]))
+    print(page([row for path in parser.parse_args().rows for row in read(path)]))
 
 
 if __name__ == "__main__":
