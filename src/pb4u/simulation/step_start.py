@@ -91,7 +91,7 @@ def start_of(network: GraphNetwork, potential: IncrementalPotential) -> BodyMoti
         potential: the energies that choose it.
     """
     shares = network.configuration.warm_start_shares
-    return BodyMotionWarmStart(potential.without_self_contact(), shares) if shares else None
+    return BodyMotionWarmStart(potential, shares) if shares else None
 
 
 def start_accelerations(start: BodyMotionWarmStart | None, step: TimeStep) -> Tensor:

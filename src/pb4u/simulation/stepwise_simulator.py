@@ -405,7 +405,8 @@ class NetworkSimulator(StepwiseSimulator):
             prepared = replace(prepared, scale=self.scaling.of(garments, prepared.builder.static))
         features = StepFeatures(prepared, self.potential)
         return StepMethod(
-            start_of(model.network, self.potential),
+            # A network alone has learnt starts on the skin.
+            start_of(model.network, self.potential if self.refine else self.potential.without_self_contact()),
             NetworkPass(model, prepared, features, self.passes, further=self.further),
             self.refinement(record),
             self.contact,
