@@ -17,6 +17,9 @@ from pb4u.physics.time_step import TimeStep, integrate
 WARM_START_SHARES = (0.25, 0.5, 0.75, 1.0)
 """Shares of the body's motion that a step may start from, besides none."""
 
+_ROUNDING = 1e-6
+"""Share of an energy by which it is not taken to rise: a few times what it is rounded by in single precision."""
+
 
 class BodyMotionWarmStart:
     """Starts every world with the share of the body's motion of least potential, moved off the body.
@@ -76,10 +79,12 @@ def _best(potential: StepPotential, free: Tensor, missing: Tensor, shares: Tenso
     is_falling = torch.ones(worlds, dtype=torch.bool)
     for share in shares.flip(0):
         energies = potential.energies(free + share * missing).per_world(potential.step.garments)
-        is_falling = is_falling & (energies < lowest)
+        # Where the motion is nothing, all energies are alike but for rounding, and the smallest share is taken.
+        is_falling = is_falling & (energies <= lowest + _ROUNDING * lowest.abs())
         if not bool(is_falling.any()):
             break
-        best, lowest = torch.where(is_falling, share, best), torch.where(is_falling, energies, lowest)
+        is_lower = is_falling & (energies <= lowest)
+        best, lowest = torch.where(is_lower, share, best), torch.where(is_lower, energies, lowest)
     return best
 
 
