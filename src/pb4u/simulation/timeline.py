@@ -61,8 +61,8 @@ class BlockedFrames:
             self._kept = {b: rows for b, rows in self._kept.items() if abs(b - block) <= 1}
             self._kept[block] = self._begun.get(block, partial(self._frames, block))()
             following = block + 1
-            is_asked_for = following * _BLOCK < self._length and following not in self._kept
-            self._begun = {following: begun(partial(self._frames, following))} if is_asked_for else {}
+            has_following = following * _BLOCK < self._length and following not in self._kept
+            self._begun = {following: begun(partial(self._frames, following))} if has_following else {}
         return self._kept[block][frame - block * _BLOCK]
 
     def _frames(self, block: int) -> Tensor:
