@@ -1,6 +1,6 @@
 """The tables and the decisions of docs/science/claims.md, from the rows that `claims.py` writes.
 
-python benchmarks/claim_tables.py ROWS.jsonl [MORE.jsonl ..]
+python benchmarks/claim_tables.py ROWS.jsonl [MORE.jsonl ..] [--csv FILE]
 python benchmarks/claim_tables.py docs/results/claims/rollouts.csv
 """
 
@@ -10,7 +10,7 @@ import argparse
 import csv
 import json
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,11 @@ DECIDING = (2730, 4140, 9600)
 """Levels of 2.27 times the triangles of the training and more that ran whole."""
 SIGNIFICANT = 0.05
 DRAWS = 10_000
+COLUMNS = (
+    "triangles", "garment", "motion", "arm", "seed", "scaling", "steps", "lost", "millimetres", "strain", "paper_total",
+    "strain_max", "edge_length", "faces", "propagation_steps",
+)  # fmt: skip
+"""Of the CSV file."""
 Row = dict[str, Any]
 Scene = tuple[str, str]
 
@@ -41,6 +46,43 @@ def read(path: Path) -> list[Row]:
         return [
             {key: text if key in words else _value(text) for key, text in row.items()} for row in csv.DictReader(stream)
         ]
+
+
+def whole(rows: Sequence[Row]) -> list[Row]:
+    """Rollouts of those methods that ran in every scene of their level, by level, scene and method.
+
+    Args:
+        rows: rollouts.
+    """
+
+    def method(row: Row) -> tuple[Any, ...]:
+        return row["triangles"], row["arm"], row["scaling"], row["steps"], row["seed"]
+
+    counts = Counter(map(method, rows))
+    most = {row["triangles"]: 0 for row in rows}
+    for (triangles, *_), count in counts.items():
+        most[triangles] = max(most[triangles], count)
+    kept = [row for row in rows if counts[method(row)] == most[row["triangles"]]]
+    return sorted(kept, key=lambda row: (row["triangles"], row["garment"], row["motion"]))
+
+
+def write(rows: Sequence[Row], path: Path) -> None:
+    """Write rollouts as the CSV file that `read` reads.
+
+    Args:
+        rows: rollouts.
+        path: of the file.
+    """
+
+    def cell(value: Any) -> Any:
+        if isinstance(value, str):
+            return value
+        return "" if value is None else f"{value:.6g}" if isinstance(value, float) else json.dumps(value)
+
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows([cell(row[name]) for name in COLUMNS] for row in rows)
 
 
 def _value(text: str) -> Any:
@@ -222,7 +264,12 @@ def _sentence(what: str, values: Sequence[float], sign: int) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rows", type=Path, nargs="+")
-    print(page([row for path in parser.parse_args().rows for row in read(path)]))
+    parser.add_argument("--csv", type=Path, help="file for the rollouts of what ran in every scene")
+    options = parser.parse_args()
+    rows = [row for path in options.rows for row in read(path)]
+    if options.csv:
+        write(whole(rows), options.csv)
+    print(page(rows))
 
 
 if __name__ == "__main__":

@@ -4,10 +4,10 @@
         [--garments tshirt,dress] [--motions walk] [--seeds 0] [--arms drawn] [--scalings none,per-vertex]
     python benchmarks/claim_tables.py ROWS.jsonl [MORE.jsonl ..]
 
-FOLDER holds the arms as `tools/comparison.py` leaves them: `literal` and `literal-without-control`, and with -seed1 and
--seed2. `--arms NAME|FILE` takes other weights. Each rollout is one line of the file; those that stand there are
-passed over, so that the same command goes on where it was ended. Shares go to several processes, each with its own
-file. The solver's rollouts, from which distances are taken, are kept beside the file.
+FOLDER holds the arms, `literal` and `literal-without-control`, and with -seed1 and -seed2: files, as in `weights/arms`,
+or folders as `tools/comparison.py` leaves them. `--arms NAME|FILE` takes other weights. Each rollout is one line of the
+file; those that stand there are passed over, so that the same command goes on where it was ended. Shares go to several
+processes, each with its own file. The solver's rollouts, from which distances are taken, are kept beside the file.
 """
 
 from __future__ import annotations
@@ -94,7 +94,8 @@ def weights_of(rollout: Rollout, folder: Path | None) -> str:
         return rollout.arm
     assert folder is not None
     name = ARMS[rollout.arm] + (f"-seed{rollout.seed}" if rollout.seed else "")
-    return str(folder / name / "final.safetensors")
+    file = folder / f"{name}.safetensors"
+    return str(file if file.exists() else folder / name / "final.safetensors")
 
 
 def run_of(rollout: Rollout, options: argparse.Namespace) -> Run:

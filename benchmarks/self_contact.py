@@ -188,7 +188,7 @@ def main() -> None:
     ]
     with JobFolder(args.out, "clips in contact", {}) as folder:
         folder.write_manifest(jobs)
-        missing = [] if args.table else folder.still_to_do(jobs, "clips", False, print)
+        missing = [] if args.table else folder.still_to_do(jobs, "clips", False, partial(print, file=sys.stderr))
         folder.complete(jobs, missing, "clips", lambda: LocalPool(1, partial(attempt, keep=args.keep)), quiet)
         rows = sorted(filter(None, (row(job, folder.result(job), folder.failure(job)) for job in jobs)))
     print(f"{len(rows)} of {len(jobs)} clips done.", file=sys.stderr)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import pytest
-from benchmarks.claim_tables import decided, decisions, table
+from benchmarks.claim_tables import decided, decisions, read, table, whole, write
 
 SCENES = [(f"g{g}", f"m{m}") for g, m in product(range(6), range(4))]
 
@@ -57,3 +58,13 @@ def test_a_line_of_a_table_counts_the_lost_and_ranks_them_last() -> None:
     line = next(line for line in table(rows(30.0, 60.0, True)).splitlines() if line.startswith("| drawn | none"))
     assert "144/144" in line
     assert "| - |" in line
+
+
+def test_the_csv_file_has_what_ran_in_every_scene_and_reads_back(tmp_path: Path) -> None:
+    made = [row | {"strain_max": 0.3, "edge_length": 0.03, "faces": 2688, "propagation_steps": None}
+            for row in rows(30.0, 60.0, True)]  # fmt: skip
+    begun = made[0] | {"scaling": "mean"}
+    write(whole([begun, *made]), tmp_path / "rollouts.csv")
+    again = read(tmp_path / "rollouts.csv")
+    assert len(again) == len(made)
+    assert decisions(again) == decisions(made)

@@ -6,11 +6,15 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from pb4u.paper.page import Block, Plot
 from pb4u.paper.summary import Cell, Summary
 from pb4u.paper.tables import label
+
+_COLOURS = [colormaps[name](number) for name, count in (("tab10", 10), ("Dark2", 8)) for number in range(count)]
+"""Of the models but the solver, which is black."""
 
 
 def across_levels(
@@ -101,11 +105,11 @@ def _panels(titles: Sequence[str], columns: int, x: str) -> tuple[Figure, list[A
     return figure, axes
 
 
-def _colour(index: int, model: str) -> str:
-    return "black" if model == "solver" else f"C{index % 10}"
+def _colour(index: int, model: str) -> Any:
+    return "black" if model == "solver" else _COLOURS[index % len(_COLOURS)]
 
 
-def _line(axis: Any, x: Sequence[Any], cells: Sequence[Cell], quantity: str, model: str, colour: str) -> None:
+def _line(axis: Any, x: Sequence[Any], cells: Sequence[Cell], quantity: str, model: str, colour: Any) -> None:
     """Mean and deviation of cells; the total, which has any sign, is logarithmic beyond 1 J, and shares are linear."""
     points = [(at, spread) for at, cell in zip(x, cells, strict=True) if (spread := cell.quantities[quantity])]
     if not points:

@@ -9,7 +9,7 @@ from pb4u.garment.material import MATERIALS
 from pb4u.training.catalogue import MOTIONS, RECORDINGS, TRAINING_GARMENTS, UNSEEN_GARMENTS
 
 _NETWORKS = (
-    "pb4u",
+    "literal_small",
     "pb4u-small",
     "comparison-pb4u",
     "comparison-mgn",
@@ -100,7 +100,7 @@ PROTOCOLS = {
         Protocol(
             name="depth",
             reproduces="The paper's figure of the loss against the number of propagation steps at three resolutions.",
-            models=("pb4u", "pb4u-small", "comparison-pb4u", "solver"),
+            models=("literal_small", "comparison-pb4u", "solver"),
             garments=("dress",),
             motions=("walk",),
             recordings=("07_02",),
