@@ -34,7 +34,7 @@ class Environment:
         ground: Height of the ground plane [m]; none for no ground.
 
     Raises:
-        InputError: a value is no finite number, or out of range.
+        InputError: a value is not a finite number, or out of range.
     """
 
     gravity: Annotated[tuple[float, float, float], Flag(metavar="X,Y,Z")] = (0.0, -STANDARD_GRAVITY, 0.0)

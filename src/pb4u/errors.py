@@ -195,7 +195,7 @@ def unread_kind(path: Path, kind: str, suffixes: Iterable[str]) -> InputError:
     """
     suffix = path.suffix.lower().removeprefix(".")
     hint = next((f" {sentence}" for suffixes, sentence in _ELSEWHERE.items() if suffix in suffixes), "")
-    return InputError(f"{path} is of no kind of {kind} file that is read; those end in {', '.join(suffixes)}.{hint}")
+    return InputError(f"{path} is not a kind of {kind} file that pb4u reads; it reads {', '.join(suffixes)}.{hint}")
 
 
 def refuse_unknown(kind: str, names: Iterable[str], choices: Collection[str], where: str = "") -> None:

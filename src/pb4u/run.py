@@ -122,7 +122,7 @@ class WornGarment:
                 raise InputError(f"The pins must be a name, a file or a list of vertex indices, not {self.pins!r}.")
             object.__setattr__(self, "pins", tuple(map(int, indices)))
         if not are_pairs(self.tacks):
-            raise InputError(f"Tacks are pairs of vertices, such as [[10, 210]], not {self.tacks!r}.")
+            raise InputError(f"Tacks must be pairs of vertices, such as [[10, 210]], not {self.tacks!r}.")
         object.__setattr__(self, "tacks", tuple((int(a), int(b)) for a, b in self.tacks))
         if self.grain is not None:
             object.__setattr__(self, "grain", _checked_direction(self.grain))
@@ -263,16 +263,16 @@ class Run:
             object.__setattr__(self, "crop", _checked_crop(self.crop))
         _check(self)
         if not isinstance(self.environment, Environment):
-            raise InputError(f"The environment of a run is a pb4u.Environment, not {self.environment!r}.")
+            raise InputError(f"The environment of a run must be a pb4u.Environment, not {self.environment!r}.")
         if any(self.environment.wind) and self.air == "off":
-            raise InputError('wind moves nothing where there is no air: give air = "on" too (--air on).')
+            raise InputError('wind has no effect without air: give air = "on" too (--air on).')
         if not self.garments:
-            raise InputError("A scene has at least one garment; none is given.")
+            raise InputError("A scene needs at least one garment; none is given.")
         if len(self.garments) > MOST_GARMENTS:
-            raise InputError(f"At most {MOST_GARMENTS} garments are worn over each other, not {len(self.garments)}.")
+            raise InputError(f"At most {MOST_GARMENTS} garments can be worn over each other, not {len(self.garments)}.")
         for number, garment in enumerate(self.garments):
             if not isinstance(garment, WornGarment):
-                raise InputError(f"The garments of a run are WornGarment objects, not {garment!r}.")
+                raise InputError(f"The garments of a run must be WornGarment objects, not {garment!r}.")
             if any(_is_same(garment.garment, inner.garment) for inner in self.garments[:number]):
                 raise InputError(
                     f"The garment {garment.name} is worn twice, and both would lie in the same place; garments of one "
@@ -491,7 +491,7 @@ def _checked_shape(shape: Any) -> dict[str, float]:
 
 def _checked_crop(crop: Any) -> tuple[int, int]:
     if not isinstance(crop, list | tuple) or len(crop) != 2 or not all(is_whole(frame) for frame in crop):
-        raise InputError(f"A crop is two frames, the first and the one after the last, not {crop!r}.")
+        raise InputError(f"A crop must be two frame numbers, the first and the one after the last, not {crop!r}.")
     return crop[0], crop[1]
 
 
@@ -501,7 +501,7 @@ def _is_direction(value: Any) -> bool:
 
 def _checked_direction(grain: Any) -> tuple[float, float, float]:
     if not _is_direction(grain) or not 0.0 < math.hypot(*grain) < math.inf:
-        raise InputError(f"The grain is a direction of three numbers, such as [0, 1, 0], not {grain!r}.")
+        raise InputError(f"The grain must be a direction of three numbers, such as [0, 1, 0], not {grain!r}.")
     x, y, z = map(float, grain)
     return x, y, z
 

@@ -53,7 +53,7 @@ def read_scene(path: Path) -> Run:
         require_format(tables, ("garments", *SECTIONS), FORMAT_VERSION)
         garments = tables.get("garments", [{}])
         if not isinstance(garments, list):
-            raise InputError("Each garment is a section of its own, written [[garments]].")
+            raise InputError("Each garment must be a section of its own, written [[garments]].")
         records = tuple(WornGarment(**_section("[[garments]]", table, "garments", path.parent)) for table in garments)
         values = dict(OF_BEFORE)
         for name in SECTIONS:
@@ -139,7 +139,7 @@ def require_entries(title: str, table: Any, names: Collection[str]) -> dict[str,
         names: entries that it may have.
 
     Raises:
-        InputError: it is no table, or an entry is unknown.
+        InputError: it is not a table, or an entry is unknown.
     """
     if not isinstance(table, dict):
         raise InputError(f"The section {title} must hold entries such as name = value, not {table!r}.")

@@ -368,7 +368,7 @@ def test_a_cache_of_another_kind_beside_a_mesh_is_told(tmp_path):
     write_obj(tmp_path / "scan.obj", box.vertices, box.faces.tolist())
     for name in ("scan.pc16", "scan.mtl", "other.abc"):
         (tmp_path / name).write_bytes(b"x")
-    with pytest.warns(InputWarning, match=r"scan\.obj: scan\.pc16 beside it is not read, so the mesh stands still"):
+    with pytest.warns(InputWarning, match=r"scan\.obj: scan\.pc16 beside it is not read, so the mesh does not move"):
         assert load_vertex_sequence(tmp_path / "scan.obj").frame_count == 1
 
 

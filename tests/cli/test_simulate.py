@@ -42,7 +42,7 @@ def test_pictures_take_their_look_from_flags_and_other_files_do_not_mind(pb4u: C
     assert min(red.sum(), green.sum()) > 100
     refused = pb4u(*flags, "--out", tmp_path / "b.npz")
     assert refused.code == 1
-    assert ".npz holds no picture" in refused.err
+    assert ".npz is not a picture" in refused.err
     assert not (tmp_path / "b.npz").exists()
 
 
@@ -397,7 +397,7 @@ def test_a_number_out_of_range_is_refused_whatever_the_model(
         (("--body", "smpl"), "give the file of the model"),
         (("--material", "polyester"), "did you mean polyester-plain"),
         (("--recorded-fps", 60), "was not recorded; leave out"),
-        (("--texture", "clip.mp4"), "is no image"),
+        (("--texture", "clip.mp4"), "is not an image"),
     ],
 )
 def test_what_was_meant_is_told(

@@ -115,8 +115,8 @@ def test_a_pocket_is_told_and_taken_off(tmp_path: Path) -> None:
         read_garment(saved(tmp_path, mesh), CLOTH)
     mended, said, _ = repair(mesh)
     assert said == (
-        "Took off 39 faces that were sewn on, as a pocket or a flap is.",
-        "Dropped 1 face(s) without area or there twice.",
+        "Removed 39 faces of parts sewn on, such as pockets or flaps.",
+        "Dropped 1 face(s) without area or repeated.",
     )
     np.testing.assert_array_equal(mended.vertices, tube.vertices)
     np.testing.assert_array_equal(np.stack(mended.polygons), np.stack(tube.polygons))

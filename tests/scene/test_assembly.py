@@ -257,7 +257,11 @@ def test_a_sequence_tells_of_a_loaded_motion_that_it_does_not_perform(woman: Sha
 def test_a_mesh_without_bones_is_said_to_stand(woman: ShapedBody) -> None:
     body = VertexSequence("scan", woman.vertices[None], woman.faces, 30.0, woman.contact)
     garment = build_garment("tshirt", woman, 400)
-    with pytest.warns(InputNote, match=r"scan is a mesh without bones, which stands still; a rigged character, or"):
+    with pytest.warns(
+        InputNote,
+        match=r"scan is a mesh without bones, which stands still; give a rigged character, "
+        "or",
+    ):
         scene = make_scene(garment, body, frames=2, lead_in=0)
     assert any("stands still" in note for note in scene.notes)
     with pytest.warns(InputWarning, match="scan is a mesh without bones, which stands still; the motion dance is not"):

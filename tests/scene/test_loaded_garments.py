@@ -132,7 +132,9 @@ def test_what_comes_from_a_file_without_pins_is_held_by_its_waistband(
     source: str, woman: ShapedBody, leggings: Garment, tmp_path: Path
 ) -> None:
     file = sources(leggings, woman, tmp_path)[source]
-    with pytest.warns(InputNote, match="^leggings: its waistband, 20 vertices, was found and holds it") as told:
+    with pytest.warns(
+        InputNote, match="^leggings: its waistband, 20 vertices, was found and is pinned to the body"
+    ) as told:
         held = load_garment(WornGarment(file), woman)
     assert len(told) == 1
     waist = load_garment(WornGarment(file, pins="waist"), woman)

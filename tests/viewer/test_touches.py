@@ -123,7 +123,7 @@ def test_another_fabric_has_its_own_colour_and_is_noted() -> None:
     made = simulated(touches, dress)
     before, after = (headers[n].garments[0]["material"]["density"] for n in (1, 2))
     assert after > 1.5 * before
-    assert made._clip.trajectory().metadata["notes"][-1] == "From frame 2 on skirt was of denim-14oz."
+    assert made._clip.trajectory().metadata["notes"][-1] == "From frame 2 on, skirt was made of denim-14oz."
     assert made._clip.frame_count == 4
 
 
@@ -195,5 +195,5 @@ def test_what_feels_no_hand_says_so(window: BrowserWindow) -> None:
     window.simulate(replace(SKIRT, model="skinning"))
     until(lambda: window.simulation and not window.simulation.running)
     assert window.touch_panel._unfelt.visible is True
-    with pytest.raises(InputError, match="Nothing is simulated that could go on"):
+    with pytest.raises(InputError, match="There is no simulation to continue"):
         window.go_on()

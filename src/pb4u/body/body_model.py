@@ -126,7 +126,9 @@ class BodyModel(ABC):
         remedy = f"it is {heights[0]:.2f} to {heights[-1]:.2f} m tall"
         if heights[0] <= metres <= heights[-1]:
             remedy = f"{metres:.2f} m is height={np.interp(metres, heights, shares):.2f}"
-        raise InputError(f'Shape parameter "height" of body "{self.name}" is a share, 0 to 1, not a length; {remedy}.')
+        raise InputError(
+            f'Shape parameter "height" of body "{self.name}" is a number from 0 to 1, not a length; {remedy}.'
+        )
 
 
 @dataclass(frozen=True, eq=False)

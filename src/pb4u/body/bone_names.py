@@ -145,7 +145,7 @@ def unknown_bones(names: Sequence[str], parents: Sequence[int]) -> str:
     scheme = {"head": "Head", **dict(_named(nearest))}
     missing = {joint: scheme[joint] for joint in sorted(NEEDED, key=list(scheme).index) if joint not in bones}
     if not missing:
-        return "legs, trunk, arms and head do not hang together as a human's"
+        return "legs, trunk, arms and head are not connected as in a human skeleton"
     free = {bone: name for bone, name in enumerate(names) if bone not in bones.values()}
     meant = []
     for joint, name in missing.items():
@@ -206,7 +206,7 @@ def _parts(name: str) -> list[str]:
 
 
 def _words(parts: Sequence[str]) -> tuple[str, str] | None:
-    """Side ("left", "right" or "") and word of a bone's name; None where it is no bone of a chain."""
+    """Side ("left", "right" or "") and word of a bone's name; None where it is not a bone of a chain."""
     side, words = "", list[str]()
     for word in parts:
         stuck = re.fullmatch(r"(left|right)(\w+)", word)

@@ -36,7 +36,7 @@ def node_tree(file: GltfFile) -> NodeTree:
         turn = from_xyzw(np.array(entry.get("rotation", (0.0, 0.0, 0.0, 1.0)), dtype=np.float64))
         rotations[node] = turn / np.linalg.norm(turn)
     if not all((np.abs(values) < 1e7).all() for values in (translations, rotations, scales)):
-        raise ValueError("a node's place is no finite number")
+        raise ValueError("the position of a node is not finite")
     weights = {}
     for node, entry in enumerate(entries):
         if "mesh" in entry:
@@ -99,7 +99,7 @@ def read_clip(file: GltfFile, tree: NodeTree, name: str | None) -> Clip | None:
             or not np.isfinite(values).all()
             or not np.isfinite(times).all()
         ):
-            raise ValueError(f"the clip {names[index]} has key frames that do not rise, or are not finite")
+            raise ValueError(f"the clip {names[index]} has key frames whose times do not increase or are not finite")
         if times[-1] > 1e5 or not 0 <= target["node"] < len(file.entries("nodes")):
             raise ValueError(f"the clip {names[index]} has a key frame at {times[-1]:g} s, or moves no node")
         if target["path"] == "weights" and values.shape[1] != tree.poses.weights[target["node"]].shape[1]:

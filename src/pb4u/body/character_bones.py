@@ -76,7 +76,7 @@ def merged_bones(
                 matrices.append(bind)
             bone_of[skin, k] = near[0] if near else len(bones) - 1
     if len(bones) > _MOST_BONES:
-        raise InputError(f"{path} has {len(bones):,} bones, and {_MOST_BONES:,} are the most.")
+        raise InputError(f"{path} has {len(bones):,} bones; at most {_MOST_BONES:,} are allowed.")
     return bones, matrices, bone_of
 
 

@@ -26,7 +26,7 @@ def reachable(
         rays: with which the sky of a vertex is looked at; 200 take half a millisecond a vertex.
 
     Returns:
-        (vertices,) bool, False of what is no candidate.
+        (vertices,) bool, False of what is not a candidate.
     """
     import igl
 

@@ -41,7 +41,7 @@ def body_unit(file: object, extent: float, unit: str | None = None) -> tuple[str
         if unit not in UNITS:
             raise unknown_name("unit of length", unit, UNITS)
         if not _GIVEN[0] <= extent * UNITS[unit] <= _GIVEN[1]:
-            raise InputError(f"{file} measures {shown} {unit}, and no figure that wears clothes does; give its unit.")
+            raise InputError(f"{file} measures {shown} {unit}, which is not the size of a person; give its unit.")
         return unit, None
     grown, people = (
         [unit for unit, length in UNITS.items() if low <= extent * length <= high] for low, high in (_GROWN, _PERSON)
@@ -79,12 +79,12 @@ def garment_unit(extent: float) -> str | None:
         extent: largest of the garment along an axis, as in its file.
     """
     if extent < _ANY_CLOTH[0]:
-        return f"spans {1000 * extent:.3g} mm as it is, too small for a garment in metres"
+        return f"spans {1000 * extent:.3g} mm if read as metres, too small for a garment"
     if extent <= _ANY_CLOTH[1]:
         return None
     usual = [unit for unit, length in UNITS.items() if _CLOTH[0] <= extent * length <= _CLOTH[1]]
     units = " or in ".join(usual) or ("centimetres" if extent <= 250.0 else "millimetres")
-    return f"spans {extent:.0f} m as it is, it seems to be in {units}"
+    return f"spans {extent:.0f} m if read as metres, so it seems to be in {units}"
 
 
 def extent_of(vertices: np.ndarray) -> float:

@@ -88,7 +88,7 @@ def load_body(
         return read_character(Path(name), clip, parts, units)
     if clip is not None or parts is not None:
         option = "clip" if clip is not None else "body-parts"
-        raise InputError(f"{name} is no rigged character ({', '.join(GLTF_SUFFIXES)}); leave out --{option}.")
+        raise InputError(f"{name} is not a rigged character ({', '.join(GLTF_SUFFIXES)}); leave out --{option}.")
     if units is not None and (name in BUILT_IN or name in _MODELS):
         raise InputError(f"{name} is in metres; leave out --body-units.")
     if name in BUILT_IN:
@@ -137,7 +137,7 @@ def read_pickled_body(path: Path, units: str | None = None) -> BodyModel | Verte
 
 
 def _in_metres(path: Path) -> InputError:
-    return InputError(f"{path} is of a kind that is in metres; leave out --body-units.")
+    return InputError(f"{path} is of a format that is always in metres; leave out --body-units.")
 
 
 @lru_cache(maxsize=4)
@@ -156,7 +156,7 @@ def _read(path: Path, units: str | None) -> BodyModel | VertexSequence:
                 f'There is no body file "{path}"; check the path, or use one of the names {", ".join(names)}.'
             )
         if path.name.lower().startswith("smpl"):
-            raise InputError(f'There is no body "{path}"; give the file of the model, which its authors hand out.')
+            raise InputError(f'There is no body "{path}"; give the file of the model, which its authors distribute.')
         raise unknown_name("body", str(path), names)
     suffix = _FOLDER if path.is_dir() else suffix
     members: set[str] = set()

@@ -23,7 +23,7 @@ _SAMPLES, _COVER = 500, 0.5
 _REACH, _CLOTH, _SEAM = 0.2, 0.005, 0.006
 # Depths under a face, as shares of that at which other skin lies, at which its own other side is looked for.
 _DEPTHS = (0.1, 0.2, 0.35, 0.5, 0.7)
-# Share of the skin that one piece has where what stands beside it is no skin; of a piece, what is of limbs that the
+# Share of the skin that one piece has where what stands beside it is not skin; of a piece, what is of limbs that the
 # rest lacks; and of a limb, what the rest has of one that it lacks.
 _MAIN, _OWN_LIMB, _LIMB_END = 0.5, 0.2, 0.05
 

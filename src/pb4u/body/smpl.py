@@ -146,7 +146,7 @@ def read_contact(path: Path, vertices: int) -> np.ndarray:
                 [int(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()], dtype=np.int64
             )
         except (OSError, ValueError, OverflowError):
-            raise InputError(f"{path} is no list of vertex numbers; write one a line.") from None
+            raise InputError(f"{path} is not a list of vertex numbers; write one a line.") from None
         if len(omitted) and not 0 <= omitted.min() <= omitted.max() < vertices:
             raise InputError(f"{path} names vertices that the body does not have; it has {vertices:,}.")
         contact[omitted] = False

@@ -164,8 +164,8 @@ def body_from_arrays(
     points = points[None] if points.ndim == 2 else points
     if points.ndim != 3 or points.shape[2] != 3 or not points.size:
         raise InputError(
-            f"{name}: its vertices have the shape {np.shape(vertices)}, where (frames, vertices, 3) or (vertices, 3) "
-            "belongs."
+            f"{name}: its vertices have the shape {np.shape(vertices)}; it must be (frames, vertices, 3) or "
+            "(vertices, 3)."
         )
     corners = checked_faces(name, faces, points.shape[1])
     if units == "metres" and (unit := body_unit(name, extent_of(points[0]))[0]) != units:
@@ -176,7 +176,7 @@ def body_from_arrays(
     points, corners = require_usable(name, points, corners, units)
     touched = None if contact is None else np.asarray(contact)
     if touched is not None and (touched.shape != (points.shape[1],) or touched.dtype != bool):
-        raise InputError(f"{name}: contact is a bool for each of its {points.shape[1]} vertices.")
+        raise InputError(f"{name}: contact must hold one bool for each of its {points.shape[1]} vertices.")
     sequence = VertexSequence(name, points, corners, fps, touched)
     warn_of_oddities(name, sequence)
     return sequence
@@ -194,7 +194,7 @@ def refuse_large(path: Path | str, triangles: int) -> None:
     """
     if triangles > MOST_TRIANGLES:
         raise InputError(
-            f"{path} has {triangles:,} triangles or more, and {MOST_TRIANGLES:,} are the most that a body may have; "
+            f"{path} has {triangles:,} triangles or more; a body may have at most {MOST_TRIANGLES:,}; "
             "decimate it in the program it comes from."
         )
 
@@ -241,7 +241,7 @@ def _outward(path: Path | str, vertices: np.ndarray, faces: np.ndarray) -> np.nd
     volume = np.einsum("fc,fc->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
     if volume >= 0:
         return faces
-    warn(f"{path}: the surface is inside out; its faces were turned round.")
+    warn(f"{path}: the surface is inside out; its faces were flipped.")
     return np.ascontiguousarray(faces[:, ::-1])
 
 

@@ -93,9 +93,11 @@ def check(
     if json != "-":
         _print(report, fix, body)
     if refused and fix is not None:
-        raise Pb4uError(f"{fix} was not written: it would still be refused; mend what stays in its program first.")
+        raise Pb4uError(
+            f"{fix} was not written: it would still be refused; repair the rest in the program it comes from first."
+        )
     if refused:
-        raise Pb4uError(f"{' with '.join(names)} would be refused; the findings above say how to mend it.")
+        raise Pb4uError(f"{' with '.join(names)} would be refused; the findings above say how to repair it.")
 
 
 def _named_garments(
@@ -110,7 +112,7 @@ def _named_garments(
         raise InputError(f"Give {file} or --garment {garment[0]}, not both; of several garments each as --garment.")
     names = garment or ([] if file is None else [file])
     if len(names) > 1 and fix is not None:
-        raise InputError("--fix mends one garment at a time; give that one.")
+        raise InputError("--fix repairs one garment at a time; give only that one.")
     if repeated := next((name for k, name in enumerate(names) if name in names[:k]), None):
         raise InputError(f"The garment {repeated} is worn twice, and both would lie in the same place.")
     if not names and motion is None:
@@ -163,9 +165,9 @@ def _is_mesh(name: str) -> bool:
 
 def _check_fix(fix: Path, garment: str | None) -> None:
     if fix.suffix.lower() != ".obj":
-        raise InputError(f"--fix writes an .obj; {fix} ends otherwise.")
+        raise InputError(f"--fix writes an .obj; {fix} has another suffix.")
     if garment is None or not _is_mesh(garment):
-        raise InputError("--fix mends a garment from a mesh file; give that file.")
+        raise InputError("--fix repairs a garment from a mesh file; give that file.")
     check_writable(fix, "--fix")
 
 
@@ -236,7 +238,7 @@ def _lines(garment: dict[str, Any], fix: Path | None, body: str) -> list[str]:
             parts = [part if fabric is None else f"{part} ({fabric})" for part, fabric in garment["parts"].items()]
             lines.append(f"parts, for `--material NAME.PART=MATERIAL`: {', '.join(parts)}.")
         if any(finding["mendable"] for finding in garment["findings"]):
-            lines.append(f"To mend what is safe to mend: {command}.")
+            lines.append(f"To repair what can be repaired safely: {command}.")
         return lines if garment["findings"] else [f"{garment['name']}: nothing to mend.", *lines]
     remaining = [finding for finding in garment["remaining"]["findings"] if finding["severity"] != "note"]
     command, refused = fix_command(fix, body), garment["remaining"]["refused"]
@@ -259,9 +261,12 @@ def _print(report: dict[str, Any], fix: Path | None, body: str) -> None:
         for tangle in as_made:
             console.print(f"as made: {tangle['sentence']}.", markup=False)
         for tangle in as_worn:
-            console.print(f"refused: {tangle['sentence']} still. Fix: wear them in another order.", markup=False)
+            console.print(
+                f"refused: {tangle['sentence']} even after untangling. Fix: give the garments in another order.",
+                markup=False,
+            )
         if not as_worn:
-            console.print("laid over each other in this order, they cross nowhere.", markup=False)
+            console.print("worn over each other in this order, the garments cross nowhere.", markup=False)
     if "motion" in report:
         motion = report["motion"]
         length = "without end" if motion["seconds"] is None else f"{motion['seconds']:.2f} s"

@@ -164,7 +164,7 @@ def keep_inputs(
     """Refuse an output that would replace what is read, or another output; called before any work is done.
 
     Args:
-        inputs: names and paths of what is read; what is no file or folder is left out.
+        inputs: names and paths of what is read; what is not a file or folder is left out.
         outputs: the flag that names each, for the message, and its path; None and "-" write no file.
         exports: what trajectories are written to, of which some make files of other names.
         called: the flag or the argument that names those, for the message.

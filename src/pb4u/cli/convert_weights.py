@@ -33,7 +33,7 @@ def convert_weights(
         InputError: the file is none of theirs, damaged, or holds something unexpected; nothing is written then.
     """
     if out.suffix != ".safetensors":
-        raise InputError(f"Weights are written as .safetensors; {out} ends in something else.")
+        raise InputError(f"Weights are written as .safetensors; {out} has another suffix.")
     keep_inputs([checkpoint], [("OUT", out), ("--json", json)])
     check_writable(out, "the weights")
     check_json_target(json)

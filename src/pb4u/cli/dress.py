@@ -55,7 +55,7 @@ def dress(
     keep_inputs([pattern, body, material], [("--json", json), *(("--out", file) for file in out)])
     for file in out:
         if file.suffix.lower() not in _KINDS:
-            raise InputError(f"--out writes {', '.join(_KINDS)}; {file} ends otherwise.")
+            raise InputError(f"--out writes {', '.join(_KINDS)}; {file} has another suffix.")
         check_writable(file, "--out")
 
     from pb4u.body.library import load_boned_body

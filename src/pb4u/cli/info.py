@@ -116,7 +116,7 @@ def describe_trajectory(path: Path) -> list[dict[str, Any]]:
         path: of the .npz.
 
     Raises:
-        InputError: it is no trajectory.
+        InputError: it is not a trajectory.
     """
     from pb4u.garment.material import FABRICS, MATERIALS, Material
     from pb4u.measures.metrics import garments_of

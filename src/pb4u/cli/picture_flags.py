@@ -103,5 +103,5 @@ def _rgb(colour: str) -> Colour:
     try:
         r, g, b = ImageColor.getrgb(colour)[:3]
     except ValueError as error:
-        raise InputError(f"{colour!r} is no colour; give a name such as crimson, or #RRGGBB.") from error
+        raise InputError(f"{colour!r} is not a colour; give a name such as crimson, or #RRGGBB.") from error
     return r / 255, g / 255, b / 255

@@ -112,5 +112,5 @@ def _value(entry: Entry, value: Any) -> Any:
     names = tuple(name.strip() for name in value.split(",") if name.strip())
     for name in names if entry.kind == "counts" else ():
         if not name.isdecimal():
-            raise InputError(f"--{entry.name.replace('_', '-')} takes whole numbers such as 5,15,30; {name!r} is none.")
+            raise InputError(f"--{entry.name.replace('_', '-')} takes whole numbers such as 5,15,30, not {name!r}.")
     return tuple(map(int, names)) if entry.kind == "counts" else names

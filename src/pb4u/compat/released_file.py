@@ -31,7 +31,7 @@ class ReleasedFile:
         content: the dictionary in it.
 
     Raises:
-        InputError: it is no checkpoint of a released network, or holds something other than finite numbers.
+        InputError: it is not a checkpoint of a released network, or holds something other than finite numbers.
     """
 
     def __init__(self, path: Path, content: Any) -> None:
@@ -43,7 +43,7 @@ class ReleasedFile:
         self.optimiser = content.get("optimizer") or {}
         if not isinstance(weights, Mapping) or not any(str(key).startswith(NETWORK) for key in weights):
             raise InputError(
-                f"{path} is no checkpoint of Pb4U-GNet, HOOD or ContourCraft: it has no weights named {NETWORK}*."
+                f"{path} is not a checkpoint of Pb4U-GNet, HOOD or ContourCraft: it has no weights named {NETWORK}*."
             )
         self.weights: dict[str, Tensor] = {}
         for key, value in weights.items():
@@ -69,7 +69,9 @@ class ReleasedFile:
         try:
             return cls(path, load_file(path))
         except (SafetensorError, OSError, ValueError) as error:
-            raise InputError(f"{path} is no whole safetensors file ({error_text(error)}); fetch it again.") from None
+            raise InputError(
+                f"{path} is not a complete safetensors file ({error_text(error)}); download it again."
+            ) from None
 
     def tensor(self, key: str, columns: int | None = None) -> Tensor:
         """The weights called `key`, float32.
@@ -82,12 +84,12 @@ class ReleasedFile:
             InputError: they are missing or of other than `columns`.
         """
         if key not in self.weights:
-            raise InputError(f"{self.path} lacks {key}; it is half a checkpoint, or of another project.")
+            raise InputError(f"{self.path} lacks {key}; it is an incomplete checkpoint, or one of another project.")
         self.used.add(key)
         tensor = self.weights[key]
         if columns is not None and (tensor.ndim != 2 or tensor.shape[1] != columns):
             raise InputError(
-                f"{self.path} has {key} of the shape {tuple(tensor.shape)}, where {columns} columns belong."
+                f"{self.path} has {key} of the shape {tuple(tensor.shape)}; it must have {columns} columns."
             )
         return tensor
 

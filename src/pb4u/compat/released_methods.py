@@ -79,7 +79,8 @@ def _require_steps(file: ReleasedFile, blocks: int) -> None:
     steps = file.setting("model", "*", "message_passing_steps", default=blocks)
     if steps != blocks or not blocks:
         raise InputError(
-            f"{file.path} holds weights of {blocks} message-passing blocks, but its settings say {steps}; load it anew."
+            f"{file.path} holds weights of {blocks} message-passing blocks, but its settings say {steps}; download it "
+            "again."
         )
 
 

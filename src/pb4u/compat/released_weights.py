@@ -128,7 +128,7 @@ def _method(file: ReleasedFile, name: str | None) -> ReleasedMethod:
     ]
     if not fitting:
         hint = f"its settings say {title}, and its" if title else "its"
-        raise InputError(f"{file.path} is of no known method: {hint} keys are those of none; name one with --method.")
+        raise InputError(f"{file.path} is of no known method: {hint} keys match none; name one with --method.")
     return fitting[0]
 
 
@@ -148,7 +148,10 @@ def _material_range(file: ReleasedFile) -> MaterialRange:
     }
     for name, (low, high) in ranges.items():
         if not 0.0 < low <= high < float("inf"):
-            raise InputError(f"{file.path} was trained with {name} from {low:g} to {high:g}, which is no range.")
+            raise InputError(
+                f"{file.path} was trained with {name} from {low:g} to {high:g}; a range must be "
+                "positive, finite and rising."
+            )
     return MaterialRange(ranges["density"], ranges[_MU], ranges[_LAMBDA], ranges[_BENDING], margin=None)  # type: ignore[arg-type]
 
 
@@ -301,5 +304,5 @@ def _dropped(file: ReleasedFile, method: ReleasedMethod) -> tuple[str, ...]:
     unread = sorted(file.weights.keys() - file.used)
     foreign = [key for key in unread if not any(re.match(pattern, key) for pattern in method.unread)]
     if foreign:
-        raise InputError(f"{file.path} holds {foreign[0]}, which {method.preset} has no place for.")
+        raise InputError(f"{file.path} holds {foreign[0]}, which the network {method.preset} does not have.")
     return tuple(unread)

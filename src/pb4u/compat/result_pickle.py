@@ -60,7 +60,7 @@ def read_result(path: Path) -> Trajectory:
         raise InputError(f"There is no trajectory {path}.")
 
     def refuse(what: str) -> InputError:
-        return InputError(f"{path} is no result of the released code: {what}.")
+        return InputError(f"{path} is not a result of the released code: {what}.")
 
     members, counts = read_members(load_pickle(path), _LAYOUT, refuse)
     require_places(members, {"cloth_faces": "vertices", "obstacle_faces": "body vertices"}, counts, refuse)

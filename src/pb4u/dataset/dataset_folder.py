@@ -53,7 +53,7 @@ class DatasetFolder(JobFolder):
 
     def __init__(self, path: Path, clips_per_shard: int | None, half: bool) -> None:
         if clips_per_shard is not None and clips_per_shard < 1:
-            raise InputError(f"A shard has 1 clip or more, not {clips_per_shard}.")
+            raise InputError(f"A shard must have 1 clip or more, not {clips_per_shard}.")
         self._clips_per_shard = clips_per_shard
         form = "folder" if clips_per_shard is None else "webdataset"
         super().__init__(path, "a dataset", {"format": form, "precision": "half" if half else "full"})
@@ -134,6 +134,6 @@ def _shard_members(folder: Path) -> dict[str, str]:
             with tarfile.open(shard, "r:") as archive:
                 names = archive.getnames()
         except tarfile.TarError as error:
-            raise InputError(f"{shard} is no shard that can be read: {error}; move it away.") from None
+            raise InputError(f"{shard} is not a shard that can be read: {error}; move it away.") from None
         shards |= {name.removesuffix(".npz"): shard.name for name in names if name.endswith(".npz")}
     return shards

@@ -93,7 +93,7 @@ def _require_room(size: int, out: Path) -> None:
     if size + _SPARE > free:
         raise InputError(
             f"The clips take about {size_text(size)}, and the disk of {out} has {size_text(free)} free; make room, "
-            "keep them in half precision with --half, or ask for fewer."
+            "store them in half precision with --half, or ask for fewer."
         )
 
 

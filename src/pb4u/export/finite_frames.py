@@ -34,8 +34,8 @@ def hold_finite(trajectory: Trajectory) -> Trajectory:
         raise InputError("No frame of the trajectory is finite, so there is nothing to write; simulate it again.")
     gaps = np.flatnonzero(~(finite & body_whole)).tolist()
     warn(
-        f"{len(gaps)} of {len(finite)} frames are not finite ({spans(gaps)}); each is written as the last whole frame "
-        "before it, and marked where the format allows.",
+        f"{len(gaps)} of {len(finite)} frames are not finite ({spans(gaps)}); each is replaced by the last finite "
+        "frame before it, and marked where the format allows.",
     )
     return replace(
         trajectory,

@@ -16,6 +16,6 @@ def incomplete(path: Path) -> InputError:
     """
     free = shutil.disk_usage(path.parent).free
     return InputError(
-        f"Cannot write {path.name}: it came out incomplete, as on a disk that is full or limited; {free / 1e6:,.1f} MB "
+        f"Cannot write {path.name}: the file is incomplete, as on a disk that is full or limited; {free / 1e6:,.1f} MB "
         "are free there."
     )

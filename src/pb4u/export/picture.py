@@ -67,7 +67,7 @@ def write_gif(
 def _require_playable(fps: float) -> None:
     """Refuse a film of a rate that encoders do not hold, before it is drawn."""
     if fps < _SLOWEST:
-        raise InputError(f"A film has {_SLOWEST:g} frames per second or more, not {fps:g}; write an .npz.")
+        raise InputError(f"A video must have {_SLOWEST:g} frames per second or more, not {fps:g}; write an .npz.")
 
 
 def save_gif(pictures: Iterable[np.ndarray], path: Path, fps: float) -> None:

@@ -138,9 +138,9 @@ def check_target(path: Path) -> None:
     if form is None:
         if path.suffix.lower() in (".fbx", ".blend", ".ma", ".mb", ".max", ".c4d", ".uasset", ".hip"):
             programs = "for Blender, Maya, Unreal or Houdini write .usdc, .abc or .glb"
-            raise InputError(f"{path.suffix} is a program's own format and is not written; {programs}.")
+            raise InputError(f"{path.suffix} is the private format of a program and is not written; {programs}.")
         what = f"{path.suffix} is not a format that is written" if path.suffix else f"{path} has no suffix"
-        raise InputError(f"{what}; end the name of the file in one of {', '.join(WRITERS)}.")
+        raise InputError(f"{what}; give the file one of the suffixes {', '.join(WRITERS)}.")
     check_writable(path)
     if form.check:
         _function(form.check)(path)
@@ -210,11 +210,12 @@ def check_view(path: Path, view: View) -> None:
     form = WRITERS[path.suffix.lower()]
     if not form.drawn:
         drawn = ", ".join(suffix for suffix, other in WRITERS.items() if other.drawn)
-        raise InputError(f"{path.suffix} holds no picture; a view is for {drawn}.")
+        raise InputError(f"{path.suffix} is not a picture; options of the view are for {drawn}.")
     n = form.side_multiple
     if view.width % n or view.height % n:
         raise InputError(
-            f"The sides of {path.suffix} are multiples of {n} pixels, and {view.width}x{view.height} are not; take "
+            f"Width and height of a {path.suffix} must be multiples of {n} pixels, and {view.width}x{view.height} are "
+            "not; take "
             f"{view.width + view.width % n}x{view.height + view.height % n}."
         )
 
@@ -227,7 +228,7 @@ def check_bones(path: Path, bones: int) -> None:
         bones: how many of each surface.
 
     Raises:
-        InputError: the file is no GLB, or the number is out of range.
+        InputError: the file is not a GLB, or the number is out of range.
     """
     from pb4u.export.bone_baking import MOST_BONES
 

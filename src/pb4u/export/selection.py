@@ -81,9 +81,9 @@ def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: i
     if first >= min(last, trajectory.frame_count):
         raise InputError(f"The trajectory has frames 0 to {trajectory.frame_count - 1}; none lies in the range.")
     if every > 1 and last - first > 1 and every >= last - first:
-        raise InputError(f"Every {every}th of {last - first} frames is one frame; give a smaller stride.")
+        raise InputError(f"Every {every}th of {last - first} frames is a single frame; give a smaller stride.")
     if span is not None and span[1] > last:
-        warn(f"The trajectory has {last} frames; of the range {first}:{span[1]}, {first}:{last} is there.")
+        warn(f"The trajectory has {last} frames; of the range {first}:{span[1]}, only {first}:{last} exists.")
     return trajectory.with_frames(lambda values: values[frames], trajectory.fps / every)
 
 

@@ -49,11 +49,14 @@ class View:
     def __post_init__(self) -> None:
         if not all(LEAST_SIDE <= side <= MOST_SIDE for side in (self.width, self.height)):
             raise InputError(
-                f"A picture has {LEAST_SIDE} to {MOST_SIDE} pixels on each side, not {self.width} x {self.height}."
+                f"A picture must have {LEAST_SIDE} to {MOST_SIDE} pixels on each side, not {self.width} x "
+                f"{self.height}."
             )
         if not (math.isfinite(self.azimuth) and math.isfinite(self.turntable)):
-            raise InputError(f"Angles of the camera are finite, not {self.azimuth:g} and {self.turntable:g} degrees.")
+            raise InputError(
+                f"Angles of the camera must be finite, not {self.azimuth:g} and {self.turntable:g} degrees."
+            )
         if not 0.0 <= self.elevation <= HIGHEST_ELEVATION:
             raise InputError(
-                f"The camera stands 0 to {HIGHEST_ELEVATION:g} degrees above the ground, not {self.elevation:g}."
+                f"The elevation of the camera must be 0 to {HIGHEST_ELEVATION:g} degrees, not {self.elevation:g}."
             )

@@ -142,7 +142,8 @@ class BodyForm:
         trunk = shoulders - hips
         if trunk[1] < 0.7 * np.linalg.norm(trunk):
             raise InputError(
-                f'The built-in garments are cut for a body that stands, and "{body.name}" lies or bends at rest; turn '
+                f'The built-in garments are cut for a standing body, and "{body.name}" lies or bends in its rest '
+                "pose; turn "
                 "its file so that Y is up, or give a garment file instead."
             )
         self.scale = body.height / 1.75
@@ -319,7 +320,7 @@ def _bone_names(body: ShapedBody) -> tuple[dict[str, str], tuple[str, str]]:
             return names, sides
     raise InputError(
         f'The built-in garments cannot be fitted to body "{body.name}" (family "{body.family}"): its skeleton lacks '
-        f"the named shoulder, elbow, wrist, hip, knee, ankle and neck joints; give a garment file instead."
+        "the named shoulder, elbow, wrist, hip, knee, ankle and neck joints; give a garment file instead."
     )
 
 

@@ -166,8 +166,8 @@ class Garment:
         }
         if checked["pinned"].shape != (len(vertices),) or checked["pinned"].dtype != bool:
             raise InputError(
-                f"{owner}: pinned is a bool for each of its {len(vertices)} vertices; vertices by number are pinned by "
-                "make_scene(pins=[..])."
+                f"{owner}: pinned must hold one bool for each of its {len(vertices)} vertices; make_scene(pins=[..]) "
+                "pins vertices by number."
             )
         for material in (self.material, *self.materials):
             if not isinstance(material, Material):
@@ -186,13 +186,13 @@ class Garment:
             shape = len(self.faces), len(self.materials)
             if layers.shape != shape or (layers < 0.0).any() or not layers.any(axis=1).all():
                 raise InputError(
-                    f"{owner}: its material_layers are numbers (faces, materials), {shape[0]} by {shape[1]}, zero or "
-                    "more, and some cloth on every face."
+                    f"{owner}: its material_layers must be numbers (faces, materials), {shape[0]} by {shape[1]}, none "
+                    "below zero and each row with one above it."
                 )
             object.__setattr__(self, "material_layers", layers)
             object.__setattr__(self, "face_material", layers.argmax(axis=1))
         if self.trims is not None and self.trims.columns.shape != (len(self.faces), 2):
-            raise InputError(f"{owner}: its trims are numbers for each of its {len(self.faces)} faces.")
+            raise InputError(f"{owner}: its trims must hold numbers for each of its {len(self.faces)} faces.")
         if len(self.materials) == 1 and self.face_material is None:
             object.__setattr__(self, "face_material", np.zeros(len(self.faces), dtype=np.int64))
         if self.face_material is not None:
@@ -200,7 +200,10 @@ class Garment:
             object.__setattr__(self, "face_material", places)
             object.__setattr__(self, "material", self.materials[int((self.face_areas @ self.layers).argmax())])
         elif len(self.materials) > 1:
-            raise InputError(f"{owner}: of {len(self.materials)} materials, face_material says which each face has.")
+            raise InputError(
+                f"{owner}: it has {len(self.materials)} materials, so face_material must say which of "
+                "them each face has."
+            )
         object.__setattr__(self, "materials", tuple(self.materials) if self.face_material is not None else ())
 
     @property

@@ -116,12 +116,12 @@ def read_source(path: Path, most_triangles: int = MOST_READ) -> PolygonMesh:
     def refuse_large(count: int) -> None:
         if count > MOST_READ:
             raise InputError(
-                f"{path} has {count:,} triangles or more, and {MOST_READ:,} are the most that can be read; "
+                f"{path} has {count:,} triangles or more; at most {MOST_READ:,} can be read; "
                 "decimate it in the program it comes from."
             )
         if count > most_triangles:
             raise InputError(
-                f"{path} has {count:,} triangles, and {most_triangles:,} are the most that can be simulated; "
+                f"{path} has {count:,} triangles; at most {most_triangles:,} can be simulated; "
                 "ask for fewer with `--triangles N`."
             )
 

@@ -36,7 +36,7 @@ def grained(garment: Garment, direction: Sequence[float] | None = None) -> Garme
     """
     if garment.has_grain:
         if direction is not None:
-            raise InputError(f"{garment.name} is cut of flat panels, which have a grain already; leave --grain out.")
+            raise InputError(f"{garment.name} is cut of flat panels, which already have a grain; leave out --grain.")
         return garment
     ways = _ways_of_uvs(garment) if direction is None else _projected(garment, np.asarray(direction, dtype=np.float64))
     if ways is None:

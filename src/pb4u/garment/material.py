@@ -111,7 +111,7 @@ class Material:
         if not coupling**2 < warp * weft:
             raise InputError(
                 f"Material coupling_stiffness must be smaller than {(warp * weft) ** 0.5:.4g} N/m, the geometric mean "
-                f"of warp and weft, not {coupling:g}: the cloth would stretch of itself."
+                f"of warp and weft, not {coupling:g}: otherwise the cloth would stretch by itself."
             )
         if shear > max(warp, weft):
             raise InputError(
@@ -264,7 +264,7 @@ _POSITIVE = {
     "thickness": (0.1, "m"),
     "lame_mu": (1e12, "Pa"),
 }
-"""Numbers that must be positive, the most that is taken, and the unit: beyond these it is no cloth."""
+"""Numbers that must be positive, the most that is taken, and the unit: beyond these it is not cloth."""
 _POSITIVE_OR_ZERO = {
     "lame_lambda": (1e12, "Pa"),
     "bending": (40.0, "J"),
@@ -347,7 +347,7 @@ def load_material(name_or_path: str | Path) -> Material:
     if not path.suffix:
         raise unknown_name("material", name, BUILT_IN)
     if path.suffix.lower() != ".json":
-        raise InputError(f"A material of your own is a .json file; {path} ends otherwise.")
+        raise InputError(f"A material of your own is a .json file; {path} has another suffix.")
     return _read_material(path)
 
 

@@ -149,7 +149,7 @@ class Parts:
         if name in self.pieces:
             if width is not None:
                 raise InputError(
-                    f"{garment.name}: {name} is a part of its file, which has a width already; leave it out."
+                    f"{garment.name}: {name} is a part of its file, which sets the width; leave out band_width."
                 )
             faces = self.pieces[name]
             of_piece = garment.topology.edge_faces[:, 0]
@@ -192,8 +192,8 @@ class Parts:
         narrowest = float(reach[panel[on_rim]].min())
         if width > narrowest:
             raise InputError(
-                f"{garment.name}: its {name} of {width:g} m is wider than the panel that it lies on, which reaches "
-                f"{narrowest:.3f} m; give a smaller band_width."
+                f"{garment.name}: its {name} of {width:g} m is wider than its panel, which is {narrowest:.3f} m wide "
+                "there; give a smaller band_width."
             )
 
 
@@ -229,7 +229,10 @@ def with_parts(
     parts = [parts_of_garment.named(name, widths.get(name)) for name in names]
     for name in widths:
         if not any(name in treatment for treatment in treatments):
-            raise InputError(f"{garment.name}: its {name} has a band_width and nothing that makes it a band.")
+            raise InputError(
+                f"{garment.name}: its {name} has a band_width, but no material, layers, interfacing or elastic for "
+                "the band."
+            )
     cloths, cloth = list(garment.materials or (garment.material,)), garment.layers
     before = garment.trims or Trims.none(len(garment.faces))
     stiff, gathers = before.interfacing, [_Gather(cloth, _pull(before.elastic), np.tile([1.0, 0.0], (len(cloth), 1)))]
@@ -316,8 +319,8 @@ def _ways(garment: Garment, part: Part) -> np.ndarray:
     """Unit directions (faces, 2) at rest along the border that a part reaches."""
     if part.along is None:
         raise InputError(
-            f"{garment.name}: elastic runs along a border of the garment, and {part.name} reaches none; give it to a "
-            "part that does."
+            f"{garment.name}: elastic runs along a border of the garment, and {part.name} reaches none; give elastic "
+            "to a part that does."
         )
     ways = carried_directions(part.along, garment.vertices[garment.faces], garment.rest_shape)
     long = np.linalg.norm(ways, axis=1, keepdims=True)
@@ -346,7 +349,7 @@ def _refuse_claims(garment: Garment, parts: list[Part]) -> None:
             both = np.count_nonzero(both_below(one.beyond, other.beyond))
             if both:
                 raise InputError(
-                    f"{garment.name}: {other.name} and {one.name} both claim {both} of its faces; leave one out, or "
+                    f"{garment.name}: {other.name} and {one.name} share {both} of its faces; leave one out, or "
                     "give a smaller band_width."
                 )
 

@@ -32,8 +32,8 @@ def remeshed(garment: Garment, triangles: int | None) -> Garment:
         raise InputError(f"The number of triangles must be 1 or more, not {triangles}.")
     if garment.rest_uv is not None:
         raise InputError(
-            f"{garment.name} is sewn of flat panels, and is not remeshed as it hangs; cut or dress it anew "
-            f"with {triangles} triangles."
+            f"{garment.name} is sewn of flat panels, so it cannot be remeshed once worn; dress it again with "
+            f"{triangles} triangles."
         )
     vertices, faces = remesh(garment.vertices, garment.faces, triangles)
 

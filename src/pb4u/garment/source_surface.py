@@ -121,7 +121,8 @@ class SourceSurface:
         tree = cKDTree(vertices[border])
         if (count := int(tree.count_neighbors(tree, _SAME_PLACE))) > _MOST_COINCIDENT * len(border):
             raise InputError(
-                f"{len(border)} border vertices lie in the same places, {count // len(border)} in each on average; "
+                f"{len(border)} border vertices share their positions, {count // len(border)} vertices at each on "
+                "average; "
                 "merge vertices by distance in the program it comes from."
             )
         pairs = np.sort(border[tree.query_pairs(_SAME_PLACE, output_type="ndarray")], axis=1)

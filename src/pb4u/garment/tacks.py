@@ -39,10 +39,11 @@ def tacked(garment: Garment, tacks: Sequence[tuple[int, int]]) -> Garment:
     count = len(garment.vertices) if source is None else len(source.source.vertices)
     if bad := [pair for pair in pairs.tolist() if not all(0 <= vertex < count for vertex in pair)]:
         raise InputError(
-            f"{garment.name}: the tack {_told(bad[0])} names a vertex that is not there; it has {count}, from 0 on."
+            f"{garment.name}: the tack {_told(bad[0])} names a vertex that does not exist; the garment has {count}, "
+            "numbered from 0."
         )
     if (alike := pairs[pairs[:, 0] == pairs[:, 1]]).size:
-        raise InputError(f"{garment.name}: the tack {_told(alike[0])} sews a vertex to itself; give two.")
+        raise InputError(f"{garment.name}: the tack {_told(alike[0])} sews a vertex to itself; give two vertices.")
     ends = pairs
     if source is not None:
         ends = garment.faces[source.triangle[pairs], source.barycentric[pairs].argmax(axis=2)]
@@ -76,7 +77,7 @@ def buttoned(garment: Garment, count: int | None) -> Garment:
         return garment
     front, vertices = Parts(garment).open_front, garment.vertices
     if not len(front):
-        raise InputError(f"{garment.name} is not open in front, where buttons close a garment; leave --buttons out.")
+        raise InputError(f"{garment.name} is not open in front, so it has no place for buttons; leave out --buttons.")
     ways = vertices[front[:, 1]] - vertices[front[:, 0]]
     rise = ways[:, 1] / np.linalg.norm(ways, axis=1)
     one, other = np.unique(front[rise > 0.5]), np.unique(front[rise < -0.5])
@@ -85,23 +86,23 @@ def buttoned(garment: Garment, count: int | None) -> Garment:
     order = order[gaps[order] <= FARTHEST]
     if len(order) < 2:
         raise InputError(
-            f"{garment.name}: the borders of its front lie {100 * gaps.min():.0f} cm apart or more; buttons close what "
-            f"is within {100 * FARTHEST:.0f} cm."
+            f"{garment.name}: the borders of its front lie {100 * gaps.min():.0f} cm apart or more; buttons close "
+            f"gaps of up to {100 * FARTHEST:.0f} cm."
         )
     pairs = np.column_stack([one[order], other[facing[order]]])
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(vertices[pairs[:, 0]], axis=0), axis=1)))
     apart = along[-1] / count
     if count > 1 and apart > BUTTONS_APART:
         raise InputError(
-            f"{garment.name}: {count} buttons are {apart:.2f} m apart on its front of {along[-1]:.2f} m; give "
+            f"{garment.name}: {count} buttons would be {apart:.2f} m apart on its front of {along[-1]:.2f} m; give "
             f"{math.ceil(along[-1] / BUTTONS_APART)} or more."
         )
     chosen = pairs[np.abs(along[:, None] - apart * (np.arange(count) + 0.5)).argmin(axis=0)]
     joined = sewn(garment.faces, len(vertices), chosen)
     if joined is None or any(len(np.unique(side)) < count for side in chosen.T):
         raise InputError(
-            f"{garment.name}: {count} buttons are closer to each other than the vertices of its front; give fewer, or "
-            "more --triangles."
+            f"{garment.name}: {count} buttons would be closer to each other than the vertices of its front; give "
+            "fewer buttons, or more --triangles."
         )
     return replace(_joined(garment, *joined), buttons=joined[1][chosen[:, 0]].astype(np.int64))
 

@@ -126,4 +126,4 @@ def untangled_start(garments: Sequence[Garment], positions: np.ndarray) -> np.nd
         if all(tangle.garments[0] == tangle.garments[1] for tangle in remaining)
         else "wear them in another order"
     )
-    raise InputError(f"The start cannot be untangled: {text}; {mend}, or simulate with --self-contact off.")
+    raise InputError(f"The starting position cannot be untangled: {text}; {mend}, or simulate with --self-contact off.")

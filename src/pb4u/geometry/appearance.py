@@ -147,7 +147,7 @@ def sound_image(content: bytes, name: str) -> bytes:
         name: what the image is called in a refusal.
 
     Raises:
-        InputError: it is no image that can be read.
+        InputError: it is not an image that can be read.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -156,7 +156,7 @@ def sound_image(content: bytes, name: str) -> bytes:
             image.load()
             return content if image.format in ("PNG", "JPEG") else _as_png(image)
     except UnidentifiedImageError:
-        raise InputError(f"{name} is no image, or a damaged one; save it as PNG or JPEG.") from None
+        raise InputError(f"{name} is not an image, or a damaged one; save it as PNG or JPEG.") from None
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise InputError(f"{name} cannot be read as an image ({error}); save it as PNG or JPEG.") from None
 
@@ -225,7 +225,7 @@ def _with_colour(appearance: Appearance, mtl: Path, rest: str) -> Appearance:
     except ValueError:
         red = green = blue = np.nan
     if not np.isfinite([red, green, blue]).all():
-        warn(f"{mtl.name}: the colour Kd {rest[:60]} is not three numbers; it is left out.")
+        warn(f"{mtl.name}: the colour Kd {rest[:60]} is not three numbers; it is ignored.")
         return appearance
     return replace(appearance, colour=(red, green, blue))
 

@@ -36,7 +36,7 @@ def node_order(file: GltfFile) -> tuple[np.ndarray, tuple[int, ...]]:
         order.append(node)
         waiting += entries[node].get("children", ())
     if len(order) < len(entries):
-        raise ValueError("its nodes hang on each other in a circle, or one has two parents")
+        raise ValueError("the hierarchy of its nodes has a cycle, or a node with two parents")
     return parents, tuple(order)
 
 
@@ -55,7 +55,7 @@ def node_transforms(file: GltfFile) -> np.ndarray:
     for node in order:
         transform = _transform(entries[node])
         if not np.isfinite(transform).all():
-            raise ValueError(f"node {node} has no finite place")
+            raise ValueError(f"node {node} has no finite position")
         result[node] = transform if parents[node] < 0 else result[parents[node]] @ transform
     return result
 
@@ -114,10 +114,10 @@ def influences(file: GltfFile, attributes: dict[str, int], vertices: int, joints
     places = np.concatenate([file.array(attributes[f"JOINTS_{k}"]) for k in sets], axis=1).astype(np.int64)
     weights = np.concatenate([file.array(attributes[f"WEIGHTS_{k}"]) for k in sets], axis=1).astype(np.float64)
     if len(places) != vertices or places.min() < 0 or places.max() >= joints or weights.shape != places.shape:
-        raise ValueError("a vertex hangs on a bone that is not there")
+        raise ValueError("a vertex is bound to a bone that does not exist")
     total = weights.sum(axis=1, keepdims=True)
     if (weights < 0.0).any() or not (total > 0.0).all():
-        raise ValueError("a vertex has no finite place, or no weight")
+        raise ValueError("a vertex has no finite position, or no weight")
     return places, weights / total
 
 

@@ -17,7 +17,7 @@ def as_numbers(owner: str, what: str, values: ArrayLike) -> np.ndarray:
         values: array, or lists of equal length.
 
     Raises:
-        InputError: they are no numbers, or lists of different lengths.
+        InputError: they are not numbers, or lists of different lengths.
     """
     try:
         array = np.asarray(values)
@@ -41,10 +41,10 @@ def checked_vertices(owner: str, vertices: ArrayLike) -> np.ndarray:
     array = as_numbers(owner, "vertices", vertices)
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):
         turned = "; transpose them" if array.ndim == 2 and array.shape[0] == 3 else ""
-        raise InputError(f"{owner}: its vertices have the shape {array.shape}, where (vertices, 3) belongs{turned}.")
+        raise InputError(f"{owner}: its vertices have the shape {array.shape}; it must be (vertices, 3){turned}.")
     bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if len(bad):
-        raise InputError(f"{owner}: {len(bad)} vertices are NaN or infinite, first {bad[:5].tolist()}.")
+        raise InputError(f"{owner}: {len(bad)} vertices are NaN or infinite, the first of them {bad[:5].tolist()}.")
     return array.astype(np.float64, copy=False)
 
 
@@ -63,7 +63,7 @@ def checked_faces(owner: str, faces: ArrayLike, count: int, what: str = "faces")
     array = as_numbers(owner, what, faces)
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):
         cut = "; cut each quad into two triangles" if array.ndim == 2 and array.shape[1] == 4 else ""
-        raise InputError(f"{owner}: its {what} have the shape {array.shape}, where (faces, 3) belongs{cut}.")
+        raise InputError(f"{owner}: its {what} have the shape {array.shape}; it must be (faces, 3){cut}.")
     if array.dtype.kind not in "iu":
         raise InputError(f"{owner}: its {what} must be whole numbers, not {array.dtype}.")
     bad = np.flatnonzero(((array < 0) | (array >= count)).any(axis=1))
@@ -86,7 +86,7 @@ def checked_uvs(owner: str, uvs: ArrayLike, uv_faces: ArrayLike, faces: int) -> 
     """
     points = as_numbers(owner, "uvs", uvs)
     if points.ndim != 2 or points.shape[1] != 2:
-        raise InputError(f"{owner}: its uvs have the shape {points.shape}, where (uv points, 2) belongs.")
+        raise InputError(f"{owner}: its uvs have the shape {points.shape}; it must be (uv points, 2).")
     corners = checked_faces(owner, uv_faces, len(points), "uv_faces")
     if len(corners) != faces:
         raise InputError(f"{owner}: it has {len(corners)} uv_faces for {faces} faces.")
@@ -108,7 +108,7 @@ def checked_places(owner: str, what: str, places: ArrayLike, rows: int, count: i
     """
     array = as_numbers(owner, what, places)
     if array.shape != (rows,) or array.dtype.kind not in "iu":
-        raise InputError(f"{owner}: {what} is a whole number for each of its {rows} faces.")
+        raise InputError(f"{owner}: {what} must hold a whole number for each of its {rows} faces.")
     if rows and (array.min() < 0 or array.max() >= count):
         raise InputError(f"{owner}: {what} has {array.min()} to {array.max()}; entries run from 0 to {count - 1}.")
     return array.astype(np.int64, copy=False)

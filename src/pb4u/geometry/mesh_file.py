@@ -168,8 +168,8 @@ def require_sound(path: Path, vertices: np.ndarray, corners: np.ndarray) -> None
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(bad):
         raise InputError(
-            f"{path}: {len(bad)} vertices are NaN or infinite, first {bad[:5].tolist()}; delete or mend them and "
-            "export again."
+            f"{path}: {len(bad)} vertices are NaN or infinite, the first of them {bad[:5].tolist()}; delete or repair "
+            "them and export again."
         )
     if corners.min() < 0 or corners.max() >= len(vertices):
         raise InputError(f"{path}: a face names a vertex out of range, the file has {len(vertices)}; export it again.")

@@ -168,7 +168,9 @@ def _table(path: Path, lines: Lines, width: int, what: str) -> np.ndarray:
         table = values.reshape(len(lines), width).astype(np.float64)
     except ValueError:
         number = next(number for number, line in lines if not _readable(line, width))
-        raise InputError(f"{path} line {number}: a {what} needs {width} numbers; mend or export it again.") from None
+        raise InputError(
+            f"{path} line {number}: a {what} needs {width} numbers; repair it or export it again."
+        ) from None
     bad = np.flatnonzero(~(np.abs(table) <= _LARGEST).all(axis=1))
     if len(bad):
         fault = (
@@ -176,8 +178,8 @@ def _table(path: Path, lines: Lines, width: int, what: str) -> np.ndarray:
             f"line {lines[bad[0]][0]} ({what} {bad[0] + 1})"
         )
         if width == 3:
-            raise InputError(f"{path}: {fault}; delete or mend them and export again.")
-        warn(f"{path.name}: {fault}; zero is taken for them.")
+            raise InputError(f"{path}: {fault}; delete or repair them and export again.")
+        warn(f"{path.name}: {fault}; zero is used instead.")
         table[bad] = 0.0
     return table
 

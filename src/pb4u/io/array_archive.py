@@ -51,7 +51,7 @@ def read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray
         member: the array's place in it.
 
     Raises:
-        ValueError: it is no plain array, or cut short; zipfile and numpy raise other errors as well.
+        ValueError: it is not a plain array, or cut short; zipfile and numpy raise other errors as well.
     """
     with archive.open(member) as stream:
         read_layout(stream, member)
@@ -111,7 +111,7 @@ def member_names(path: Path) -> tuple[str, ...]:
         path: the file.
 
     Raises:
-        InputError: it is no zip file.
+        InputError: it is not a zip file.
     """
     with open_archive(path, ()) as archive:
         return tuple(name.removesuffix(".npy") for name in archive.namelist())

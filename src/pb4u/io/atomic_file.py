@@ -135,7 +135,7 @@ def check_writable(path: Path, flag: str | None = None) -> None:
     if not _is_special(path) and not os.access(folder, os.W_OK):
         raise InputError(f"The folder {folder}{purpose} cannot be written to.")
     if path.exists() and not os.access(path, os.W_OK):
-        raise InputError(f"{path}{purpose} is write-protected; give another name, or take the protection off.")
+        raise InputError(f"{path}{purpose} is write-protected; give another name, or remove the protection.")
 
 
 def _is_special(path: Path) -> bool:

@@ -76,7 +76,7 @@ class GltfFile:
         if "bufferView" in accessor:
             values = self._view(accessor["bufferView"], accessor.get("byteOffset", 0), kind, count, width)
         elif count * width * kind.itemsize > self.path.stat().st_size and "sparse" not in accessor:
-            raise ValueError(f"accessor {index} has nothing in it")
+            raise ValueError(f"accessor {index} is empty")
         else:
             values = np.zeros((count, width), dtype=kind)
         if sparse := accessor.get("sparse"):
@@ -133,16 +133,16 @@ def read_gltf(path: Path) -> GltfFile:
     Raises:
         InputError: it is none, is cut short, lacks a buffer, or is compressed by Draco or meshopt.
     """
-    with refusing(path, "is no whole glTF file"):
+    with refusing(path, "is not a complete glTF file"):
         content = path.read_bytes()
         document, binary = _parted(path, content)
         if not isinstance(document, dict) or not str(document.get("asset", {}).get("version", "")).startswith("2"):
-            raise InputError(f"{path} is no glTF of version 2; export it again.")
+            raise InputError(f"{path} is not a glTF file of version 2; export it again.")
         for name in document.get("extensionsRequired", ()):
             if name in _PACKED:
                 raise InputError(
-                    f"{path} is compressed by {_PACKED[name]}, which is not read; export it without compression, or "
-                    "unpack it with gltf-transform."
+                    f"{path} is compressed by {_PACKED[name]}, which pb4u does not read; export it without "
+                    "compression, or unpack it with gltf-transform."
                 )
         buffers = []
         for buffer in document.get("buffers", ()):
@@ -248,7 +248,7 @@ def _beside(path: Path, uri: str | None, binary: bytes) -> bytes:
         return base64.b64decode(uri.partition(",")[2])
     beside = path.parent / unquote(uri)
     if "://" in uri or not beside.resolve().is_relative_to(path.parent.resolve()):
-        raise InputError(f'{path} needs "{uri[:80]}", outside of its folder; put it beside the file.')
+        raise InputError(f'{path} needs "{uri[:80]}", which is outside its folder; put it beside the file.')
     if not beside.is_file():
         raise InputError(f"{path} needs {beside.name} beside it.")
     return beside.read_bytes()

@@ -84,7 +84,7 @@ def read_members(
         InputError: whatever `refuse` gives, for the first member that is missing or does not fit.
     """
     if not isinstance(content, Mapping):
-        raise refuse(f"it holds a {type(content).__name__}, no dictionary")
+        raise refuse(f"it holds a {type(content).__name__}, not a dictionary")
     if missing := [name for name in layout if name not in content and name not in optional]:
         raise refuse(f"it has no {' and no '.join(missing)}; it holds {names_text(content)}")
     arrays = {name: _array(content[name]) for name in layout if name in content}
@@ -149,4 +149,4 @@ def require_places(
     for name, count in points_at.items():
         values = members.get(name)
         if values is not None and values.size and (values.min() < 0 or values.max() >= counts.get(count, 0)):
-            raise refuse(f"{name} points outside of its {counts.get(count, 0)} {count}")
+            raise refuse(f"{name} has indices beyond its {counts.get(count, 0)} {count}")

@@ -88,7 +88,7 @@ def attempted(run: Callable[[Work], Made], work: Work) -> Made | Failure:
     try:
         return run(work)
     except Exception as error:
-        unexpected = f"It broke off unexpectedly: {type(error).__name__}: {' '.join(str(error).split())}"
+        unexpected = f"It ended with an unexpected error: {type(error).__name__}: {' '.join(str(error).split())}"
         return Failure(sentence_on(error) or unexpected, traceback.format_exc())
 
 
@@ -129,6 +129,6 @@ def require_content(path: Path, expected: str) -> None:
         InputError: it is absent, or its content is another.
     """
     if not path.exists():
-        raise InputError(f"The file {path} is not there on the machine that was to use it.")
+        raise InputError(f"The file {path} does not exist on the machine that needs it.")
     if digest(path) != expected:
         raise InputError(f"The file {path} changed after the run was planned; start the run again.")

@@ -60,7 +60,7 @@ class JobFolder:
         with on_disk(f"Cannot use the folder {path}"):
             foreign = path.exists() and (not path.is_dir() or _is_foreign(path))
             if foreign:
-                raise InputError(f"{path} exists and is no folder of {kind}; give another --out.")
+                raise InputError(f"{path} exists and is not a folder of {kind}; give another --out.")
             self._require_same()
             self._jobs.mkdir(parents=True, exist_ok=True)
             self._lock = locked(path, f"Another process is at work in {path}; wait for it, or give another --out.").lock
@@ -79,15 +79,15 @@ class JobFolder:
             if (version, made_by) != (FOLDER_VERSION, __version__):
                 raise InputError(
                     f"{self.path} holds a run of version {version} by pb4u {made_by}, and this is pb4u {__version__} "
-                    f"with version {FOLDER_VERSION}; results of two do not belong together: give another --out."
+                    f"with version {FOLDER_VERSION}; results of two versions are not comparable: give another --out."
                 )
             if meta["kind"] != self._kind:
                 raise InputError(f"{self.path} is a folder of {meta['kind']}, not of {self._kind}; give another --out.")
             for name, value in self._settings.items():
                 if meta[name] != value:
                     raise InputError(
-                        f"{self.path} holds {self._kind} with {name} {meta[name]}, not {value}; go on with that, or "
-                        "give another --out."
+                        f"{self.path} holds {self._kind} with {name} {meta[name]}, not {value}; continue with that "
+                        "value, or give another --out."
                     )
         except InputError:
             raise
@@ -164,8 +164,8 @@ class JobFolder:
             error: why.
         """
         return Pb4uError(
-            f"Cannot write {self.path / name}: {error.strerror or error}; what is done is kept, and the same "
-            "command goes on."
+            f"Cannot write {self.path / name}: {error.strerror or error}; finished jobs are kept: run the same "
+            "command again to continue."
         )
 
     def result(self, job: Job) -> dict[str, Any] | None:
@@ -223,7 +223,7 @@ class JobFolder:
         missing = [job for job in undone if job.key not in failed]
         finished = len(jobs) - len(undone)
         parts = [f"{len(jobs)} {noun}", f"{finished} done before" if finished else "", f"{len(missing)} to do"]
-        parts.append(f"{len(failed)} failed before and left (--retry tries them again)" if failed else "")
+        parts.append(f"{len(failed)} failed before and are skipped (--retry tries them again)" if failed else "")
         say(", ".join(part for part in parts if part) + ".")
         return missing
 
@@ -292,7 +292,9 @@ class JobFolder:
             finish()
         except KeyboardInterrupt:
             finished = sum(self.result(job) is not None for job in jobs)
-            raise Pb4uError(f"Stopped with {finished} of {len(jobs)} {noun} done; the same command goes on.") from None
+            raise Pb4uError(
+                f"Stopped with {finished} of {len(jobs)} {noun} done; run the same command again to continue."
+            ) from None
 
     def _failed(self, job: Job) -> Path:
         return self._jobs / f"{job.key}.failed.json"

@@ -176,7 +176,7 @@ class RayPool(WorkerPool):
             ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False, **options)
         except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(f"There is no Ray cluster to reach at {address}: {reason}") from error
+            raise InputError(f"No Ray cluster can be reached at {address}: {reason}") from error
         self._answer_as_before()
         # Ray's own second tries are off: who hands out the jobs counts them.
         self._attempt = ray.remote(num_cpus=1, max_retries=0)(attempt)
@@ -215,4 +215,4 @@ def _check_reachable(address: str) -> None:
     try:
         socket.create_connection((host, int(port)), timeout=_ANSWER_TIME).close()
     except (OSError, ValueError, OverflowError) as error:
-        raise InputError(f"There is no Ray cluster to reach at {address}: {error}.") from error
+        raise InputError(f"No Ray cluster can be reached at {address}: {error}.") from error

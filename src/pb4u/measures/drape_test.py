@@ -97,7 +97,8 @@ def drape_test(material: Material, edge: float = EDGE, seconds: float = 3.0) -> 
     """
     if not SHORTEST <= edge <= LONGEST:
         raise InputError(
-            f"A disc is draped with edges of {1e3 * SHORTEST:g} to {1e3 * LONGEST:g} mm, not {1e3 * edge:g}."
+            f"The mesh of a drape test must have edges of {1e3 * SHORTEST:g} to {1e3 * LONGEST:g} mm, not "
+            f"{1e3 * edge:g}."
         )
     began, garment, frames = time.perf_counter(), disc(edge, material), round(30.0 * seconds)
     placement = PrescribedPlacement(np.broadcast_to(rippled(garment), (frames, *garment.vertices.shape)))

@@ -192,7 +192,7 @@ def require_reference(reference: Trajectory, faces: np.ndarray, fps: float, fram
     if not np.array_equal(reference.faces, faces):
         raise InputError(
             f"The reference has another mesh: {len(reference.faces)} triangles, and the run {len(faces)}; simulate it "
-            "with the same garments and --triangles."
+            "with the same garments and the same --triangles."
         )
     if not math.isclose(reference.fps, fps):
         raise InputError(f"The reference has {reference.fps:g} frames per second, and the run {fps:g}.")

@@ -297,7 +297,7 @@ def limbs_sentence(limbs: Sequence[dict[str, Any]], trajectory: Trajectory) -> s
     if not has_physics(trajectory.header):
         return f"{through}; skinning has no physics, --model quick-solver has."
     if not trajectory.header.metadata.get("contact", True):
-        return f"{through}; nothing holds the cloth off: leave out --contact off."
+        return f"{through}; nothing keeps the cloth off the body: leave out --contact off."
     enough: dict[str, int] = {}
     for limb in limbs:
         if limb["triangles"]:

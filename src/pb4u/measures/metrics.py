@@ -73,7 +73,7 @@ def measure(
         the file: its `name`, `metrics` (energies and strains), `diverged` and `diverged_at`.
 
     Raises:
-        InputError: it is no trajectory, or its metadata do not say what the garments are made of.
+        InputError: it is not a trajectory, or its metadata do not say what the garments are made of.
     """
     if not isinstance(trajectory, Trajectory):
         raise InputError(

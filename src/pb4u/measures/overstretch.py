@@ -44,7 +44,7 @@ def overstretched_sentences(trajectory: Trajectory) -> list[str]:
             strongest = 100.0 * 2.0 * limit[judged].min()
             sentences.append(
                 f"{garment.name}: {100.0 * shares[worst]:.0f} % of it is stretched by more than {strongest:.3g} %, "
-                f"twice what its cloth gives before it stiffens, most in frame {worst}; a larger cut or a softer "
-                "--material would give way."
+                f"twice the strain at which its cloth stiffens, most in frame {worst}; a larger cut or a softer "
+                "--material would strain less."
             )
     return sentences

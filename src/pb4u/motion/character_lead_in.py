@@ -106,8 +106,8 @@ def _standing(character: Character, first: NodePoses) -> NodePoses:
                 translations[0, node], rotations[0, node], scales[0, node] = parted(local)
             except ValueError as error:
                 raise InputError(
-                    f"{character.name}: in its bind pose {error}, as under one of uneven scale; apply the scales of "
-                    "its nodes in the program it comes from, or leave its way there out with --lead-in 0."
+                    f"{character.name}: in its bind pose {error}, as under a parent of uneven scale; apply the scales "
+                    "of its nodes in the program it comes from, or skip the lead-in with --lead-in 0."
                 ) from error
             stands[node] = place @ binds[node]
         else:

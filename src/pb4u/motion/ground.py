@@ -51,7 +51,7 @@ def stances(recording: Recording) -> list[Stance]:
         return []
     joints = recording.metres * joint_positions(recording.skeleton, poses)
     lowest = joints[..., 1].argmin(axis=1)
-    # Over a twentieth of a second, so that a tremble is no movement.
+    # Over a twentieth of a second, so that a tremble is not a movement.
     reach = max(1, round(0.025 * poses.fps))
     before = np.maximum(np.arange(len(poses)) - reach, 0)
     after = np.minimum(np.arange(len(poses)) + reach, len(poses) - 1)
@@ -136,7 +136,7 @@ def _without_drift(recording: Recording) -> Recording:
 
 
 def _drift(stands: list[Stance], times: np.ndarray, fps: float) -> np.ndarray | None:
-    """Height (frames,) [m] by which the floor has drifted at `times` [s]; None where it does not, or is no floor."""
+    """Height (frames,) [m] by which the floor has drifted at `times` [s]; None where it does not, or is not a floor."""
     middle = np.array([0.5 * (stance.first + stance.stop - 1) / fps for stance in stands])
     height = np.array([stance.place[1] for stance in stands])
     # A long stance is better known than one that was nearly a step.

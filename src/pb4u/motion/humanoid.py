@@ -36,7 +36,7 @@ class Humanoid:
         skeleton = body.skeleton
         if target is None:
             raise InputError(
-                f'{body.name}: no motion can be put on a body of the family "{body.family}"; '
+                f'{body.name}: no motion can be retargeted to a body of the family "{body.family}"; '
                 f"known families are {', '.join(TARGETS)}."
             )
         needed = set(target.joints.values()) | (set() if target.partial else set(target.bones))

@@ -83,13 +83,13 @@ def load_motion(
     name = str(name_or_path)
     if name in CLIPS:
         if crop is not None:
-            raise InputError(f'The built-in motion "{name}" has no end to crop; ask for the frames you want.')
+            raise InputError(f'The built-in motion "{name}" has no end to crop; set --frames instead.')
         if recorded_fps is not None:
             raise InputError(f'The built-in motion "{name}" was not recorded; leave out recorded_fps.')
         return ProceduralMotion(name, seed=seed, arms_away_degrees=arms_away_degrees)
     path, person = recording_file(name)
     if path.suffix.lower() == ".asf":
-        raise InputError(f"{path} holds the skeleton alone; give the .amc file beside it, which holds the motion.")
+        raise InputError(f"{path} holds only the skeleton; give the .amc file beside it, which holds the motion.")
     if path.suffix and path.suffix.lower() not in SUFFIXES:
         raise unread_kind(path, "motion", SUFFIXES)
     if path.suffix.lower() not in SUFFIXES:
@@ -126,7 +126,7 @@ def read_recording(path: Path, person: str | None = None, recorded_fps: float | 
     if recorded_fps is not None:
         return replace(recording, poses=replace(recording.poses, fps=recorded_fps))
     if math.isnan(recording.poses.fps):
-        raise InputError(f"{path} does not tell its frame rate; give it with --recorded-fps.")
+        raise InputError(f"{path} does not state its frame rate; give it with --recorded-fps.")
     return recording
 
 

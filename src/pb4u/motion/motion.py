@@ -69,7 +69,7 @@ class Motion(ABC):
             InputError: a number is out of range, or a recording ends before the last frame.
         """
         if frames < 1 or start < 0 or not fps > 0:
-            raise InputError(f"{self.name}: {frames} frame(s) from frame {start} at {fps:g} fps cannot be given.")
+            raise InputError(f"{self.name}: {frames} frame(s) from frame {start} at {fps:g} fps do not exist.")
         available = self.available_frames(fps)
         if available is not None and start + frames > available:
             raise InputError(

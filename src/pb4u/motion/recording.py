@@ -203,6 +203,6 @@ def finite_frames(values: np.ndarray, path: Path) -> np.ndarray:
         raise InputError(
             f"{path}: frame {int(np.argmax(bad))} holds values that are not finite, or beyond {_LARGEST:g} "
             f"({int(bad.sum())} such frame(s)); "
-            f"leave them out or mend the file."
+            f"leave them out or repair the file."
         )
     return values

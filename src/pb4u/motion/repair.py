@@ -117,7 +117,7 @@ def without_gaps(recording: Recording, numbers: np.ndarray) -> Recording:
     if span == frames:
         return recording
     if span > _MOST_MISSING * frames:
-        raise InputError(f"{recording.name}: of {span:,} frames only {frames:,} are there; too few to be a motion.")
+        raise InputError(f"{recording.name}: only {frames:,} of {span:,} frames exist, too few for a motion.")
     times = (numbers - numbers[0]).astype(np.float64)
     grid = np.arange(span, dtype=np.float64)
     upper = np.clip(np.searchsorted(times, grid), 1, frames - 1)

@@ -72,7 +72,8 @@ def _require_person(recording: Recording, joints: np.ndarray, path: Path) -> Non
         if not np.linalg.norm(at[second] - at[first], axis=1).max() > SHORT * recording.leg_length:
             names = [recording.skeleton.names[recording.joint_index(role)] for role in (first, second)]
             raise InputError(
-                f"{path}: {names[0]} and {names[1]} are in one place, by its rest pose (the OFFSETs of its HIERARCHY); "
+                f"{path}: {names[0]} and {names[1]} are at the same point in its rest pose (the OFFSETs of its "
+                "HIERARCHY); "
                 "export it again with the skeleton that it was recorded with."
             )
     waist = unit(joints[:, trunk(recording)[1]] - hips)

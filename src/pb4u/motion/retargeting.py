@@ -106,8 +106,8 @@ class Retargeting:
             if apart > (_UNLIKE if "." in first else _UNLIKE_TRUNK):
                 raise InputError(
                     f"{recording.name}: on {self.humanoid.body.name} the {plain} points "
-                    f"{apart:.0f} degrees away from where the recording has it: its rest pose is not one that a person "
-                    "stands in; export it again from a T-pose."
+                    f"{apart:.0f} degrees away from its direction in the recording: the rest pose of the recording is "
+                    "not a standing person; export it again from a T-pose."
                 )
 
     def _floor(self) -> float:

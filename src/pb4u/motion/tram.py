@@ -62,15 +62,15 @@ def read_tram(path: Path) -> Recording:
         raise InputError(f"{path}: pred_rotmat has the shape {matrices.shape}, not ({len(frames)}, 24, 3, 3).")
     if turns.shape != (len(places), 3, 3) or frames.dtype.kind not in "iu" or frames.size == 0:
         raise InputError(
-            f"{camera_file}: {keys[0]} has the shape {turns.shape}, where one turn a frame belongs; run TRAM again."
+            f"{camera_file}: {keys[0]} has the shape {turns.shape}; it must hold one rotation a frame; run TRAM again."
         )
     if frames.min() < 0 or frames.max() >= len(turns):
         raise InputError(
-            f"{path} has frame {frames.max()}, and {camera_file} has {len(turns)}; they are of two videos: put its own "
-            "camera.npy beside it."
+            f"{path} has frame {frames.max()}, and {camera_file} has {len(turns)}; the two come from different "
+            "videos: put its own camera.npy beside it."
         )
     if not (np.isfinite(matrices).all() and np.isfinite(turns).all() and (np.linalg.det(matrices) > 0.1).all()):
-        raise InputError(f"{path}: pred_rotmat holds what is no rotation, or is not finite; run TRAM again.")
+        raise InputError(f"{path}: pred_rotmat holds values that are not finite or not a rotation; run TRAM again.")
     flip = np.eye(3) if in_world else _UPRIGHT
     world, origin = flip @ turns[frames], places[frames] @ flip.T
     matrices[:, 0] = world @ matrices[:, 0]

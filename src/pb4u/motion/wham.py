@@ -53,8 +53,8 @@ def wham_recording(path: Path, content: Mapping[Any, Any], person: str | None) -
     entry = people[person]
     if "pose_world" not in entry or "trans_world" not in entry:
         raise InputError(
-            f"{path}: person {person} has no pose_world and trans_world, but {names_text(entry)}; motion before a "
-            "camera alone, as of VIBE and PHALP, is not read: give what WHAM, TRAM or GVHMR writes."
+            f"{path}: person {person} has no pose_world and trans_world, but {names_text(entry)}; motion relative to "
+            "a camera, as VIBE and PHALP write it, is not read: give a file that WHAM, TRAM or GVHMR writes."
         )
     poses, translations = (stored_numbers(entry[key], path, key) for key in ("pose_world", "trans_world"))
     recording = smpl_recording(path, poses, translations, _RATE, told_by="its program")

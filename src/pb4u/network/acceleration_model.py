@@ -112,11 +112,14 @@ class NetworkConfiguration(ABC):
         if self.passes < 1:
             raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
         if self.further_passes and not self.conjugate:
-            raise InputError("Only the search of conjugate passes tells whether a further one is worth its time.")
+            raise InputError(
+                "further_passes needs conjugate passes: only their line search can tell whether another "
+                "pass is worth its time."
+            )
         if not 0.0 <= self.descent_size <= 1.0:
-            raise InputError(f"A descent is shown at a size from 0 to 1 edge lengths, not {self.descent_size}.")
+            raise InputError(f"network.descent_size must be from 0 to 1 edge lengths, not {self.descent_size}.")
         if not all(0.0 < share <= 1.0 for share in self.warm_start_shares):
-            raise InputError(f"Shares of the body's motion lie above 0 and up to 1, not {self.warm_start_shares}.")
+            raise InputError(f"network.warm_start_shares must be above 0 and at most 1, not {self.warm_start_shares}.")
 
     @abstractmethod
     def network(self) -> GraphNetwork:

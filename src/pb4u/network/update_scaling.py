@@ -149,9 +149,9 @@ class BandSplitScaling(PerVertexScaling):
         for garment, length in zip(garments.garments, garments.mean_edge_lengths, strict=True):
             if length >= self.low_pass_length:
                 raise InputError(
-                    f"{garment.name}: its edges are {1e3 * length:.0f} mm long on average, and a low-pass of "
-                    f"{1e3 * self.low_pass_length:.0f} mm tells no bulk from wrinkles there; take more triangles, or "
-                    "another scaling than band-split."
+                    f"{garment.name}: its edges are {1e3 * length:.0f} mm long on average, too long for a low-pass of "
+                    f"{1e3 * self.low_pass_length:.0f} mm to separate wrinkles from the overall motion; ask for more "
+                    "triangles, or use a scaling other than band-split."
                 )
         return SurfaceLowPass(garments, self.low_pass_length)
 

@@ -50,13 +50,13 @@ def drafted(name: str, measures: Measures) -> Pattern:
     for low, high in pairwise(_LEVELS):
         if measures[low] >= measures[high]:
             raise InputError(
-                f"{name} cannot be drafted: {low} is {measures[low]:.3f} m, and {high}, which is above it, "
+                f"{name} cannot be drafted: {low} is {measures[low]:.3f} m high, and {high}, which must be higher, "
                 f"{measures[high]:.3f} m."
             )
     try:
         return DRAFTS[name](measures)
     except InputError as error:
-        raise InputError(f"{name} cannot be drafted from these measures, which no body has together: {error}") from None
+        raise InputError(f"{name} cannot be drafted: no body has all of these measures ({error})") from None
 
 
 def shirt(m: Measures) -> Pattern:

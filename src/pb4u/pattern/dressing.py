@@ -153,7 +153,7 @@ def _dressed(sewing: Sewing, places: np.ndarray) -> Dressed:
     """The garment of a sewing that hangs at `places` (vertices, 3) [m], checked, and moved off the skin."""
     garment = sewing.garment(places)
     if is_inside_out(places, garment.faces, sewing.rest_body):
-        raise InputError(f"{garment.name} comes out inside out: run the corners of its panels the other way round.")
+        raise InputError(f"{garment.name} comes out inside out: reverse the order of the corners of its panels.")
     refuse_slipped(sewing.mesh, sewing.body, sewing.placed, places)
     packed = pack([garment])
     x = torch.from_numpy(places)

@@ -149,13 +149,15 @@ def read_dressed(path: str | Path) -> tuple[PatternMesh, np.ndarray, tuple[str, 
         path: the `.npz` file.
 
     Raises:
-        InputError: it is no file of a dressed garment, or a damaged one.
+        InputError: it is not a file of a dressed garment, or a damaged one.
     """
     path = Path(path)
     members = read_arrays(path, _LAYOUT)
 
     def refuse(what: str) -> InputError:
-        return InputError(f"{path} is no dressed garment: {what}; make one with `pb4u dress PATTERN.json --out FILE`.")
+        return InputError(
+            f"{path} is not a dressed garment: {what}; make one with `pb4u dress PATTERN.json --out FILE`."
+        )
 
     counts = read_members(members, _LAYOUT, refuse)[1]
     if int(members["format_version"]) != FORMAT_VERSION:
@@ -192,7 +194,7 @@ def read_pattern(path: str | Path) -> Pattern:
         raise InputError(f"There is no pattern {path}.")
     kind = path.suffix.lower()
     if kind not in (".toml", ".npz", ".json"):
-        raise InputError(f"{path} is no sewing pattern; those are .json, .toml or the .npz of `pb4u dress`.")
+        raise InputError(f"{path} is not a sewing pattern; those are .json, .toml or the .npz of `pb4u dress`.")
     if kind == ".toml":
         return read_drawn(path)
     return read_dressed(path)[0].pattern if kind == ".npz" else read_specification(path)
@@ -222,4 +224,4 @@ def write_worn(path: Path, dressed: Dressed, body: ShapedBody) -> None:
     elif kind in (".svg", ".png"):
         draw_pattern(dressed.mesh.pattern, path)
     else:
-        raise InputError(f"A dressed garment is written as .npz, .obj, .json, .svg or .png; {path} ends otherwise.")
+        raise InputError(f"A dressed garment is written as .npz, .obj, .json, .svg or .png; {path} has another suffix.")

@@ -158,8 +158,8 @@ def _in_loop(panel: Panel, counts: np.ndarray, length: float) -> tuple[np.ndarra
         edge_of, corners = np.repeat(np.arange(len(counts)), counts), faces[areas.argmin()]
         touched = np.unique(edge_of[corners[corners < len(edge_of)]])
         raise InputError(
-            f"Panel {panel.name}: its edges {' and '.join(map(str, touched))} touch or leave no room for a triangle; "
-            "move them apart."
+            f"Panel {panel.name}: its edges {' and '.join(map(str, touched))} touch, or leave no room for a triangle "
+            "between them; move them apart."
         )
     return points * flip, faces
 

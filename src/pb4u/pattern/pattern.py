@@ -183,7 +183,9 @@ class Panel:
             fault = f"edge {one} crosses itself" if one == other else f"edges {one} and {other} cross"
             raise InputError(f"Panel {self.name}: {fault}; a panel is one piece of cloth within a loop of edges.")
         if abs(self.area) < 1e-6:
-            raise InputError(f"Panel {self.name} has an area of {1e4 * abs(self.area):.2g} cm^2, which is no cloth.")
+            raise InputError(
+                f"Panel {self.name} has an area of {1e4 * abs(self.area):.2g} cm^2, too small for a piece of cloth."
+            )
 
 
 def _as_curve(panel: str, edge: int, curve: Curve | np.ndarray) -> Curve:
@@ -326,8 +328,8 @@ class Pattern:
             if max(one, other) > MOST_EASE * min(one, other):
                 raise InputError(
                     f"{self.name}: edge {seam.first[1]} of {seam.first[0]} is {100 * one:.1f} cm long and edge "
-                    f"{seam.second[1]} of {seam.second[0]}, to which it is sewn, {100 * other:.1f} cm; no gathers take "
-                    f"up more than {MOST_EASE:g} to 1."
+                    f"{seam.second[1]} of {seam.second[0]}, to which it is sewn, {100 * other:.1f} cm; gathers can "
+                    f"take up at most {MOST_EASE:g} to 1."
                 )
 
     def _refuse_parts(self) -> None:
@@ -337,6 +339,6 @@ class Pattern:
             part = [one if number == other else number for number in part]
         if loose := [panel.name for panel, number in zip(self.panels, part, strict=True) if number != part[0]]:
             raise InputError(
-                f"{self.name} is in {len(set(part))} parts: no seam joins {loose[0]} to {self.panels[0].name}; wear "
-                "the parts as garments of their own."
+                f"{self.name} is in {len(set(part))} parts: no seam joins {loose[0]} to {self.panels[0].name}; give "
+                "each part as a garment of its own."
             )

@@ -158,10 +158,10 @@ def _on_springs(garment: Garment, spec: WornGarment, frames: int, lead_in: int, 
     if spec.pin_stiffness is None and spec.pins_until is None:
         return garment
     if not garment.pinned.any():
-        raise InputError(f"Nothing pins {garment.name}, so its pins can neither give way nor let go; give --pins too.")
+        raise InputError(f"Nothing pins {garment.name}, so it has no pins to soften or release; give --pins too.")
     if spec.pins_until is not None and spec.pins_until >= frames:
         raise InputError(
-            f"The pins of {garment.name} cannot let go at frame {spec.pins_until}: the last is {frames - 1}."
+            f"The pins of {garment.name} cannot be released at frame {spec.pins_until}: the last frame is {frames - 1}."
         )
     until = math.inf if spec.pins_until is None else (lead_in + spec.pins_until) / fps
     return replace(garment, springs=PinSprings(spec.pin_stiffness or _FIRM, until))
@@ -212,7 +212,7 @@ def _lost_folds(garments: Sequence[Garment]) -> tuple[str, ...]:
         enough = math.ceil(1.05 * len(garment.faces) * (edge / longest) ** 2 / 100) * 100
         notes.append(
             f"{garment.name}: edges of {1e3 * edge:.0f} mm are too long for the folds of this cloth; --triangles "
-            f"{enough} has edges of {1e3 * longest:.0f} mm, which have most of them."
+            f"{enough} gives edges of {1e3 * longest:.0f} mm, which show most of them."
         )
         warn(notes[-1], InputNote)
     return tuple(notes)

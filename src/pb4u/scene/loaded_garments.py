@@ -240,8 +240,8 @@ def _object(spec: WornGarment, body: Body, material: Material, rest_shape: RestS
     assert isinstance(garment, Garment)
     if len(loose := garment.topology.isolated_vertices):
         raise InputError(
-            f"garment {garment.name}: {len(loose)} of its {len(garment.vertices)} vertices are in no face, first "
-            f"{loose[:5].tolist()}; no cloth would carry them, so leave them out."
+            f"garment {garment.name}: {len(loose)} of its {len(garment.vertices)} vertices are in no face, the first "
+            f"of them {loose[:5].tolist()}; leave them out."
         )
     if body is not None:
         require_near(garment, body)
@@ -271,7 +271,9 @@ def read(spec: WornGarment, body: Body, rest_shape: RestShape = Run.rest_shape) 
     """
     kind = kind_of(spec.garment)
     if body is None and kind.is_fitted:
-        raise InputError(f"{spec.name} is made on the body that wears it, and body {NONE} has none; give a mesh file.")
+        raise InputError(
+            f"{spec.name} is fitted to the body that wears it, and --body {NONE} leaves none; give a mesh file."
+        )
     return kind.read(spec, body, _material(spec.materials.get(REST, DEFAULT_MATERIAL)), rest_shape)
 
 
@@ -342,8 +344,8 @@ def hold(
     if support.held is None:
         return garment, support
     warn(
-        f"{garment.name}: its {support.name}, {int(support.held.sum())} vertices, was found and holds it; --pins "
-        "none lets it go.",
+        f"{garment.name}: its {support.name}, {int(support.held.sum())} vertices, was found and is pinned to the "
+        "body; --pins none releases it.",
         InputNote,
     )
     return garment.with_pins(support.held), None

@@ -147,7 +147,7 @@ class PackedGarments:
     def world_rows(self) -> tuple[Tensor, Tensor, Tensor]:
         """Rows of all worlds side by side, those of shorter ones filled up with their last.
 
-        Vertex (worlds, rows) int64 of each row, whether it is no repetition (worlds, rows) bool, and the row
+        Vertex (worlds, rows) int64 of each row, whether it is not a repetition (worlds, rows) bool, and the row
         (vertices,) int64 of each vertex among all of them one after the other.
         """
         offsets = to_device(torch.as_tensor(self.world_offsets), self.device)
@@ -276,8 +276,8 @@ def inverse_rest_shapes(corners: np.ndarray) -> np.ndarray:
     bad = np.flatnonzero(~(np.abs(doubled) > 1e-6 * lengths[0] * np.maximum(*lengths)))
     if len(bad):
         raise InputError(
-            f"{len(bad)} rest triangle(s) have no area, first faces {bad[:5].tolist()}; "
-            "mend them with `pb4u check GARMENT.obj --fix OUT.obj`."
+            f"{len(bad)} rest triangle(s) have no area, the first faces {bad[:5].tolist()}; repair them with `pb4u "
+            "check GARMENT.obj --fix OUT.obj`."
         )
     return np.stack([c2, -c1, -b2, b1], axis=1).reshape(-1, 2, 2) / doubled[:, None, None]
 

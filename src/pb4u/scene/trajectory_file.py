@@ -81,7 +81,7 @@ def read_members(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         members = map_archive(path)
     except InputError as error:
         if path.suffix.lower() != ".npz":
-            raise InputError(f"{path} is no trajectory; give the .npz that `pb4u simulate` wrote.") from error
+            raise InputError(f"{path} is not a trajectory; give the .npz that `pb4u simulate` wrote.") from error
         reason = str(error).removeprefix(f"{path}: ")
         raise InputError(f"{path} cannot be read as a trajectory (cut short or another format): {reason}") from error
     version = members.get("format_version", np.array(FORMAT_VERSION))
@@ -230,7 +230,7 @@ class TrajectoryWriter:
     def _not_written(self, error: OSError) -> InputError:
         return InputError(
             f"Cannot write {self.path}: {error.strerror or error}; its {self.frame_count} frames are lost. Writing "
-            "takes twice the size of the file."
+            "needs twice the size of the file."
         )
 
     def _copy_member(self, archive: zipfile.ZipFile, name: str) -> None:
@@ -275,7 +275,7 @@ def kept_sentence(frames: int, path: Path) -> str:
         path: of the file.
     """
     what = f"the first {'frame is' if frames == 1 else f'{frames} frames are'} in {path}"
-    return f"{what}, for `pb4u view` and `pb4u convert`; `pb4u simulate` does not go on from there"
+    return f"{what}, for `pb4u view` and `pb4u convert`; `pb4u simulate` cannot continue from there"
 
 
 def interrupted_path(path: Path) -> Path:

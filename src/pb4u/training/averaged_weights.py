@@ -60,7 +60,7 @@ class AveragedWeights:
 
     def seconds_to_validate(self) -> float:
         """Time [s] that a validation at the end takes; what it compares with is made before."""
-        self.journal.say("Making what validations compare with; the minutes begin after it.")
+        self.journal.say("Simulating the reference runs for validation; the training time counts from after them.")
         _ = self.validation.references
         began = time.monotonic()
         score = self._score()

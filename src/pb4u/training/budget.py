@@ -155,4 +155,4 @@ class Counters:
                 best = None  # of earlier versions, by energy: nothing of now is compared with it
             return Counters(**values, guard=guard, best=None if best is None else Score(**best))
         except (KeyError, TypeError) as error:
-            raise InputError(f"The checkpoint does not say how far the training was: {error}.") from error
+            raise InputError(f"The checkpoint does not say how far the training had come: {error}.") from error

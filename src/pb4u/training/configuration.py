@@ -64,7 +64,7 @@ class DataSelection:
         if not 0.0 <= self.drawn_shapes[0] <= self.drawn_shapes[1] <= 1.0:
             raise InputError("data.drawn_shapes must be a lowest and a highest value from 0 to 1.")
         if not (0.0 <= self.varied <= 1.0 and 0.0 <= self.uneven <= 1.0):
-            raise InputError("data.varied and data.uneven are shares from 0 to 1.")
+            raise InputError("data.varied and data.uneven must be shares from 0 to 1.")
 
 
 @dataclass(frozen=True)
@@ -156,13 +156,13 @@ class TrainingConfiguration:
             if getattr(self, name) < 0:
                 raise InputError(f"{name} must not be below 0, but is {getattr(self, name)}.")
         if self.after_settling not in AFTER_SETTLING:
-            raise InputError(f"after_settling is one of {', '.join(AFTER_SETTLING)}, not {self.after_settling!r}.")
+            raise InputError(f"after_settling must be one of {', '.join(AFTER_SETTLING)}, not {self.after_settling!r}.")
         if self.loss_weight not in LOSS_WEIGHTS:
-            raise InputError(f"loss_weight is one of {', '.join(LOSS_WEIGHTS)}, not {self.loss_weight!r}.")
+            raise InputError(f"loss_weight must be one of {', '.join(LOSS_WEIGHTS)}, not {self.loss_weight!r}.")
         if self.validation_clips < 1 or self.validation_frames < 2:
             raise InputError("A validation needs 1 clip or more of 2 frames or more.")
         if not (self.gradient_norm > 0 and 0.0 <= self.ema_decay < 1.0):
-            raise InputError("gradient_norm must be above 0 and ema_decay from 0 up to, not including, 1.")
+            raise InputError("gradient_norm must be above 0, and ema_decay at least 0 and below 1.")
 
 
 class TrainingPreset(NamedTuple):
@@ -201,7 +201,7 @@ def training_from_json(record: Any) -> TrainingConfiguration:
         record: what `training_to_json` wrote.
 
     Raises:
-        InputError: it is no configuration of a training.
+        InputError: it is not a configuration of a training.
     """
     try:
         values = dict(record)
@@ -240,7 +240,9 @@ def with_settings(configuration: TrainingConfiguration, settings: Sequence[str])
 
 def _rescaled(network: NetworkConfiguration, name: str) -> NetworkConfiguration:
     if not isinstance(network, Pb4uConfiguration):
-        raise InputError("network.scaling is set for Pb4U-GNet's family alone; this network has no update scaling.")
+        raise InputError(
+            "network.scaling exists only for networks of Pb4U-GNet's family; this network has no update scaling."
+        )
     refuse_unknown("scaling", [name], SCALINGS)
     return replace(network, scaling=with_scaling(network.scaling, name))
 
@@ -288,7 +290,7 @@ def _parsed(key: str, present: Any, text: str) -> Any:
         return float(value)
     elif type(value) is type(present):
         return value
-    raise InputError(f"{key} is {present!r} by default; {text!r} is of another kind.")
+    raise InputError(f"{key} is {present!r} by default; {text!r} is of another type.")
 
 
 def _fits(value: Any, types: set[type]) -> bool:

@@ -125,8 +125,8 @@ def workers(device: str = "auto") -> Iterator[Workers]:
     """
     if device not in ("auto", "cpu", "cuda"):
         raise InputError(
-            f"The device is auto, cpu or cuda, not {device!r}; of several cards the first that CUDA_VISIBLE_DEVICES "
-            "lists is taken, and torchrun gives each process one."
+            f"The device must be auto, cpu or cuda, not {device!r}; of several cards the first in "
+            "CUDA_VISIBLE_DEVICES is used, and torchrun gives each process its own."
         )
     accelerated = available_device(device) == "cuda"
     count = int(os.environ.get("WORLD_SIZE", "1"))
@@ -136,8 +136,8 @@ def workers(device: str = "auto") -> Iterator[Workers]:
         place = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
         if place.index >= torch.cuda.device_count():
             raise InputError(
-                f"There are {torch.cuda.device_count()} cards here, and process {place.index + 1} of this machine "
-                "needs one too; start as many processes as there are cards, with --nproc-per-node."
+                f"There are {torch.cuda.device_count()} cards here and none is left for process {place.index + 1}; "
+                "start as many processes as there are cards, with --nproc-per-node."
             )
         torch.cuda.set_device(place)
     if count > 1:

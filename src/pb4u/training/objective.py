@@ -87,8 +87,8 @@ def progress_weights(garments: PackedGarments, decrease: Tensor | None) -> Tenso
 
     Where a pass lowers the energy by much more than what lifts the garment by `_LIFT`, descending this loss raises the
     logarithm of that decrease, of the terms that its search knows: it asks for the best direction alike far from the
-    minimum and near it, in silk and in leather. It is no logarithm elsewhere: a pass that raises the energy counts as
-    one that leaves it as it is, with the greatest weight of all. Only passes that are joined (`conjugate_move`) know
+    minimum and near it, in silk and in leather. It is not a logarithm elsewhere: a pass that raises the energy counts
+    as one that leaves it as it is, with the greatest weight of all. Only passes that are joined (`conjugate_move`) know
     their decrease.
 
     Args:

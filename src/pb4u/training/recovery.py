@@ -100,12 +100,12 @@ class Recovery:
         self.learner.restore(self.saved.tensors)
         self.journal.note({"step": at, "rollback": back, "rate_factor": lower.rate_factor})
         self.journal.say(
-            f"Step {at}: the training was coming apart; back to the weights of step {back} ({at - back} steps "
+            f"Step {at}: the training was diverging; it returns to the weights of step {back} ({at - back} steps "
             f"lost), at {lower.rate_factor:g} times the learning rate."
         )
         if lower.rollbacks > MOST_ROLLBACKS:
             raise TrainingFailedError(
-                f"The training came apart {lower.rollbacks} times by step {at}; start it with a lower "
+                f"The training diverged {lower.rollbacks} times by step {at}; start it with a lower "
                 "curriculum.learning_rate."
             )
         return lower
@@ -128,7 +128,9 @@ class Recovery:
             except NotSavedError as error:
                 if insist:
                     raise
-                self.journal.say(f"{error} The training goes on; the last whole checkpoint is of {self.saved.step}.")
+                self.journal.say(
+                    f"{error} The training goes on; the last complete checkpoint is of step {self.saved.step}."
+                )
         self.learner.restore(tensors)
         self.saved = Snapshot(tensors, counters.to_json())
 

@@ -54,9 +54,11 @@ class RunFolder:
         """
         folder = RunFolder(Path(path))
         if (folder.path / CONFIGURATION).is_file():
-            raise InputError(f"{path} already holds a training; go on with --resume {path}, or give another folder.")
+            raise InputError(
+                f"{path} already holds a training; continue it with --resume {path}, or give another folder."
+            )
         if folder.path.exists() and (not folder.path.is_dir() or any(folder.path.iterdir())):
-            raise InputError(f"{path} exists and is no empty folder; give another one for the training.")
+            raise InputError(f"{path} exists and is not an empty folder; give another one for the training.")
 
     @staticmethod
     def create(path: Path | str, configuration: dict[str, Any]) -> RunFolder:
@@ -102,11 +104,11 @@ class RunFolder:
             path: of the folder.
 
         Raises:
-            InputError: it is no folder of a training.
+            InputError: it is not a folder of a training.
         """
         folder = RunFolder(Path(path))
         if not (folder.path / CONFIGURATION).is_file():
-            raise InputError(f"{path} is no folder of a training: it has no {CONFIGURATION}.")
+            raise InputError(f"{path} is not a folder of a training: it has no {CONFIGURATION}.")
         return folder
 
     def configure(self, configuration: dict[str, Any]) -> None:
@@ -166,7 +168,7 @@ class RunFolder:
         """Tensors (...) by name and counters of the last checkpoint, in their unit; None where there is none yet.
 
         Raises:
-            InputError: a file that is no checkpoint.
+            InputError: a file that is not a checkpoint.
         """
         path = self.path / LAST
         if not path.is_file():
@@ -177,7 +179,7 @@ class RunFolder:
                 counters = parse_json(metadata["counters"])
                 return {key: file.get_tensor(key) for key in file.keys()}, counters  # noqa: SIM118
         except (SafetensorError, OSError, KeyError, ValueError) as error:
-            raise InputError(f"{path} is no checkpoint of a training ({error_text(error)}).") from error
+            raise InputError(f"{path} is not a checkpoint of a training ({error_text(error)}).") from error
 
     def append_metrics(self, record: dict[str, Any]) -> None:
         """Add a line to the metrics.
@@ -197,7 +199,7 @@ class RunFolder:
         lines = []
         with contextlib.suppress(FileNotFoundError), (self.path / METRICS).open("rb") as stream:
             for line in stream:
-                # One that a kill cut in two is no JSON, or no text.
+                # One that a kill cut in two is not JSON, or no text.
                 with contextlib.suppress(ValueError):
                     record = parse_json(line)
                     if isinstance(record, dict):

@@ -139,7 +139,7 @@ class Trainer:
                 rest = self.budget.steps - self.counters.step
                 if rest * pace > _WORTH_SAYING:
                     time_left = format_duration(rest * pace)
-                    self.journal.say(f"A step takes {pace:.2g} s; the {rest:,} that are left take about {time_left}.")
+                    self.journal.say(f"A step takes {pace:.2g} s; the remaining {rest:,} take about {time_left}.")
             if end is RoundEnd.CAME_APART:
                 self.counters = self.recovery.roll_back(self.counters)
                 continue

@@ -99,10 +99,10 @@ class Validation:
             clips = [i for i in clips if len(data.clips[i].poses) >= longest]
             self.samples.append(Sample(outfit, int(rng.choice(clips)), 0, MATERIALS["default"]))
             if not held_out:
-                self.notes.append("No clip is held out for validation: it is on clips that are trained on.")
+                self.notes.append("No clips are reserved for validation, so validation uses clips of the training.")
             if longest < self.most_frames:
                 self.notes.append(
-                    f"Validation is shorter than {self.most_frames} frames: no clip for it has more than {longest}."
+                    f"Validation is shorter than {self.most_frames} frames: its longest clip has {longest}."
                 )
         self.loader, self.clearance = loader, configuration.clearance
 

@@ -135,7 +135,7 @@ class BrowserWindow:
         require_offered(run, self.uploads.files)
         name, content = pack_scene(run, self.uploads.folder)
         self._client.send_file_download(name, content, save_immediately=True)
-        return f"{name} was handed to the browser; run it with `pb4u simulate scene.toml`."
+        return f"{name} was sent to the browser; run it with `pb4u simulate scene.toml`."
 
     def film(self, suffix: str) -> None:
         """Begin to take pictures of the current view.
@@ -149,7 +149,7 @@ class BrowserWindow:
         """
         with self._lock:
             if not self.state.clips:
-                raise InputError("There is nothing to see yet; simulate something first.")
+                raise InputError("There is nothing to show yet; simulate something first.")
             if self._film is not None:
                 raise InputError("Pictures are being taken; wait for them, or stop.")
             frames = [self.state.clock.frame] if suffix == ".png" else list(range(self.state.clock.frame_count))
@@ -187,7 +187,7 @@ class BrowserWindow:
         with self._lock:
             simulation, frame = self.simulation, self.state.clock.frame
             if simulation is None or not simulation.is_of(self.state.clips):
-                raise InputError("What is shown was not simulated on this page; simulate something first.")
+                raise InputError("The clip shown was not simulated on this page; simulate something first.")
             # The newest frame is followed again.
             self.state.clock.pause_at(self.state.clock.frame_count)
             if simulation.running:
@@ -374,7 +374,7 @@ class BrowserWindow:
                 with self._lock:
                     state = self.state.frozen()
                 if state.clips[:1] != (film.clip,):
-                    raise InputError("Something else is shown now; the pictures were thrown away.")
+                    raise InputError("Another clip is shown now; the pictures were discarded.")
                 state.clock.pause_at(frame)
                 self.display.settle(state, lambda: self.closed)
                 film.pictures.append(take_picture(self._client))

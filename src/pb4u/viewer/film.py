@@ -51,7 +51,7 @@ class Film:
         if suffix == ".mp4":
             check_mp4(Path(suffix))
         if len(frames) > _MOST_FRAMES:
-            raise InputError(f"A video of the view has at most {_MOST_FRAMES:,} frames, and here are {len(frames):,}.")
+            raise InputError(f"A video of the view can have at most {_MOST_FRAMES:,} frames, not {len(frames):,}.")
         self.suffix, self.frames, self.clip = suffix, frames, clip
         self.pictures: list[np.ndarray] = []
         self.stopped = False
@@ -98,4 +98,4 @@ def take_picture(client: ClientHandle) -> np.ndarray:
     try:
         return client.get_render(camera.image_height, camera.image_width, transport_format="png", timeout=_PATIENCE)
     except (TimeoutError, RuntimeError) as error:
-        raise Pb4uError("The browser gave no picture; keep its window in sight while pictures are taken.") from error
+        raise Pb4uError("The browser returned no picture; keep its window visible while pictures are taken.") from error

@@ -136,9 +136,9 @@ class LiveSimulation(Worker):
             InputError: it cannot be gone back to.
         """
         if self._live is None or not self._live.written_count:
-            raise InputError("Nothing is simulated that could go on; simulate something first.")
+            raise InputError("There is no simulation to continue; simulate something first.")
         if frame >= self._live.scene.frames - 1 and not self.touches.endless:
-            raise InputError("This is the last frame; choose an earlier one, or let it go on after the last frame.")
+            raise InputError("This is the last frame; choose an earlier one, or continue after the last frame.")
         other = LiveSimulation(self._specification, self._advanced, self._ended, self._files, self._speed, self.touches)
         other._clip, other._live, other._frames = self._clip, self._live, self._frames
         self.touches.go_back(frame)
@@ -166,8 +166,8 @@ class LiveSimulation(Worker):
         for entry in scene.garments:
             if (count := entry.garment.triangle_count) > MOST_TRIANGLES:
                 raise InputError(
-                    f"{entry.garment.name} has {count:,} triangles, and {MOST_TRIANGLES:,} are the most here; ask for "
-                    "fewer."
+                    f"{entry.garment.name} has {count:,} triangles; the studio simulates at most {MOST_TRIANGLES:,}: "
+                    "ask for fewer."
                 )
         self._end_if_cancelled()
         label = f"{scene.labels['garment']}, {scene.labels['motion']}, {simulator.name}"

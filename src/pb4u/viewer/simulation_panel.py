@@ -61,7 +61,9 @@ def _of_parts(text: str) -> dict[str, str]:
     """Materials by part, as they are written into a field."""
     pairs = [part.partition("=") for part in text.split(",") if part.strip()]
     if any(not part.strip() or not material.strip() for part, _, material in pairs):
-        raise InputError(f"Fabrics of parts are PART=MATERIAL, separated by commas, such as hem=denim, not {text!r}.")
+        raise InputError(
+            f"Fabrics of parts must be PART=MATERIAL, separated by commas, such as hem=denim, not {text!r}."
+        )
     return {part.strip(): material.strip() for part, _, material in pairs}
 
 

@@ -105,7 +105,7 @@ def check_port(host: str, port: int) -> None:
         try:
             probe.bind((host, port))
         except OverflowError as error:
-            raise InputError(f"A port is a number from 0 to 65535, not {port}.") from error
+            raise InputError(f"A port must be a number from 0 to 65535, not {port}.") from error
         except OSError as error:
             raise InputError(
                 f"Cannot listen on port {port} of {host} ({error.strerror}); choose another with --port, or 0 for any."

@@ -115,7 +115,7 @@ class Touches:
             gusts: whether it comes in gusts.
 
         Raises:
-            InputError: a value is no finite number, or out of range.
+            InputError: a value is not a finite number, or out of range.
         """
         for what, value, most in (("speed of the wind [m/s]", speed, STRONGEST_WIND), ("direction", degrees, 360.0)):
             if not isinstance(value, int | float) or not 0.0 <= value <= most:
@@ -140,7 +140,7 @@ class Touches:
             live.dress(number, material)
             other = clip.until(clip.frame_count, live.header)
             garment = live.scene.garments[number].garment.name
-            other.note(f"From frame {clip.frame_count} on {garment} was of {name}.")
+            other.note(f"From frame {clip.frame_count} on, {garment} was made of {name}.")
             return other
 
         self._requests.append(dressed)

@@ -100,4 +100,4 @@ def plain_sentence(error: BaseException) -> str:
     if (sentence := sentence_on(error)) is not None:
         return sentence
     traceback.print_exception(error, file=sys.stderr)
-    return f"Something unforeseen went wrong ({type(error).__name__}); the terminal shows where. The page goes on."
+    return f"An unexpected error occurred ({type(error).__name__}); the terminal shows where. The studio keeps running."

@@ -42,7 +42,7 @@ class LevelsByHops:
 
     def __post_init__(self) -> None:
         if not 0 <= self.near < self.far <= 12:
-            raise InputError(f"Coarse levels rise from 0 to at most 12, unlike {self.near} and {self.far}.")
+            raise InputError(f"Coarse levels must rise, from 0 to at most 12; {self.near} and {self.far} do not.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,9 +68,9 @@ class HoodConfiguration(NetworkConfiguration):
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(self.blocks_by_stage) != len(SCHEDULE) or min(self.blocks_by_stage) < 1:
-            raise InputError(f"HOOD has {len(SCHEDULE)} stages of 1 block or more each, not {self.repeats}.")
+            raise InputError(f"HOOD must have {len(SCHEDULE)} stages of 1 block or more each, not {self.repeats}.")
         if self.labelled is not None and not 1 <= self.labelled <= 12:
-            raise InputError(f"Vertices are labelled by 1 to 12 coarse levels, not {self.labelled}.")
+            raise InputError(f"Vertices can be labelled with 1 to 12 coarse levels, not {self.labelled}.")
 
     @property
     def blocks_by_stage(self) -> tuple[int, ...]:
