@@ -68,7 +68,7 @@ def test_convert_tells_the_files_that_it_wrote(
 def test_convert_warns_of_a_range_beyond_the_end(pb4u: Callable, walk: Path, tmp_path: Path) -> None:
     ended = pb4u("convert", walk, tmp_path / "b.npz", "--range", "4:100")
     assert ended.code == 0
-    assert ended.err == "pb4u: warning: The trajectory has 6 frames; of the range 4:100, 4:6 is there.\n"
+    assert ended.err == "pb4u: warning: The trajectory has 6 frames; of the range 4:100, only 4:6 exists.\n"
 
 
 @pytest.mark.parametrize(

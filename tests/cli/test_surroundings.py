@@ -83,10 +83,10 @@ def test_pins_hold_it_in_another_gravity(pb4u: Callable, napkin: Path, tmp_path:
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (["--garment", "dress"], "dress is fitted to the body that wears it, and --body none leaves none"),
-        (["--motion", "walk"], "motion needs a body, and --body none has none; leave it out"),
-        (["--body-shape", "height=0.7"], "body-shape is of a body"),
-        (["--as-recorded"], "as-recorded is of a body"),
+        (["--garment", "dress"], "dress is fitted to the body that wears it, but --body none gives none"),
+        (["--motion", "walk"], "motion needs a body, but --body none gives none; leave it out"),
+        (["--body-shape", "height=0.7"], "body-shape needs a body"),
+        (["--as-recorded"], "as-recorded needs a body"),
         (["--ground", "0.5"], "napkin reaches 0.30 m below the ground; raise it, or give --ground 0.20 or"),
     ],
 )

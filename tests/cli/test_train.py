@@ -199,10 +199,10 @@ def test_a_pack_of_built_in_assets_can_be_trained_on(pb4u: Call, tmp_path: Path)
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("pack.zip",), "is an .npz"),
+        (("pack.zip",), "is written as .npz"),
         (("absent/pack.npz",), "does not exist"),
         (("pack.npz", "--json", "absent/r.json"), "does not exist"),
-        (("pack.npz", "--set", "data.bodies=nobody"), "is none"),
+        (("pack.npz", "--set", "data.bodies=nobody"), "not 'nobody'"),
         (("pack.npz", "--preset", "smoke", "--set", "data.motions=fly"), "no built-in motion 'fly'"),
         (("pack.npz", "--preset", "smoke", "--recordings", "."), "nor a CMU recording"),
     ],

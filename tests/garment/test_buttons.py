@@ -103,7 +103,7 @@ def test_buttons_are_at_even_distances_and_keep_the_cloth() -> None:
 @pytest.mark.parametrize(
     ("garment", "count", "why"),
     [
-        (coat(), 3, "3 buttons are 0.33 m apart on its front of 1.00 m; give 4 or more"),
+        (coat(), 3, "3 buttons would be 0.33 m apart on its front of 1.00 m; give 4 or more"),
         (coat(gap=0.3), 5, "the borders of its front lie 2. cm apart or more; buttons close gaps of up to 10 cm"),
         (coat(), 60, "60 buttons would be closer to each other than the vertices of its front; give fewer"),
     ],

@@ -86,7 +86,7 @@ CROSSED = [[0, 0], [40, 40], [40, 0], [0, 40]]
         (_stitched(), "is in 2 parts: no seam joins b to a"),
         (_panels(vertices=CROSSED), "Panel a: edges 0 and 2 cross"),
         (_panels(vertices=[[0, 0], [1, 0], [1, 0], [0, 0]]), "Panel a: edge 1 has no length"),
-        (_panels(vertices=[[0, 0], [20, 0], [60, 0], [20, 1e-5]], edges=PLAIN), "which is not cloth"),
+        (_panels(vertices=[[0, 0], [20, 0], [60, 0], [20, 1e-5]], edges=PLAIN), "too small for a piece of cloth"),
         (_panels(edges=[{"endpoints": [0, 1]}, {"endpoints": [2, 3]}]), "the outline of panel a is open: edge 0"),
         (_panels(edges=[{"endpoints": [0, 7]}]), "panel a has no vertex 7"),
         (_panels(vertices=[[0, 0], [4, 0], [4, 3], [0, 3]]), "gathers can take up at most 6 to 1"),

@@ -272,7 +272,7 @@ def read(spec: WornGarment, body: Body, rest_shape: RestShape = Run.rest_shape) 
     kind = kind_of(spec.garment)
     if body is None and kind.is_fitted:
         raise InputError(
-            f"{spec.name} is fitted to the body that wears it, and --body {NONE} leaves none; give a mesh file."
+            f"{spec.name} is fitted to the body that wears it, but --body {NONE} gives none; give a mesh file."
         )
     return kind.read(spec, body, _material(spec.materials.get(REST, DEFAULT_MATERIAL)), rest_shape)
 

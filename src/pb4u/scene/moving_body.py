@@ -66,7 +66,7 @@ def _nobody(run: Run) -> Performance:
     """A scene without a body, of which nothing of a body can be asked."""
     for name, entry in described(Run).items():
         if entry.flag.panel in (BODY, RESEARCH) and name != "body" and getattr(run, name) not in (entry.default, {}, 0):
-            raise InputError(f"{name.replace('_', '-')} needs a body, and --body {NONE} has none; leave it out.")
+            raise InputError(f"{name.replace('_', '-')} needs a body, but --body {NONE} gives none; leave it out.")
     return Performance(None, run.frames or DEFAULT_FRAMES, NONE)
 
 
