@@ -62,7 +62,7 @@ class Environment:
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """Entries of a trajectory's metadata: gravity and ground, and what else is not as usual."""
+        """Entries of a trajectory's metadata: gravity and ground, and other values that differ from the default."""
         usual = {"gravity": list(self.gravity), "ground_height": self.ground}
         return usual | {name: value for name, value in self.changed.items() if name in _AIR}
 

@@ -157,7 +157,7 @@ class Run:
         clip: Clip that a rigged character performs. Default: its first.
         body_parts: Meshes or materials that make the body of a character, separated by commas. Default: all but hair,
             eyes and clothes, by their names.
-        body_units: Unit of length of a character's or a sequence's file. Default: told by the size of a person.
+        body_units: Unit of length of a character's or a sequence's file. Default: recognised by the size of a person.
         motion: Built-in motion (`pb4u assets`), or .amc, .bvh, AMASS .npz, VTO .pkl, or from a video GVHMR .pt, WHAM
             .pkl or TRAM .npy (FILE:PERSON of several people). Default: walk, or the body's own.
         crop: Frames A to B-1 of a recording, at its own rate.

@@ -39,7 +39,7 @@ class AnimatedBody(ABC):
 
     @abstractmethod
     def positions(self, start: int, stop: int) -> Tensor:
-        """Vertices of consecutive frames; asked for by two threads at once.
+        """Vertices of consecutive frames; two threads may call it at once.
 
         Args:
             start: first frame.

@@ -28,7 +28,7 @@ def complete_parameters(
     Args:
         body: name of the body, for messages.
         ranges: name -> (lowest, default, highest).
-        values: those that differ from the default.
+        values: the parameters that differ from the default.
 
     Raises:
         InputError: a name is unknown or a value out of range.
@@ -49,7 +49,7 @@ _FARTHEST = 1e4
 
 
 class BodyModel(ABC):
-    """A family of bodies; `shaped` picks one member.
+    """A body model; `shaped` gives the body of some shape parameters.
 
     Attributes:
         name: what the user called it.
@@ -88,10 +88,10 @@ class BodyModel(ABC):
         """
 
     def shaped(self, **parameters: float) -> ShapedBody:
-        """One member of the family, standing on the ground.
+        """The body of some shape parameters, standing on the ground.
 
         Args:
-            **parameters: shape parameters by name; left out, the default of each.
+            **parameters: shape parameters by name; the others have their default.
 
         Raises:
             InputError: a name is unknown or a value out of range.
@@ -180,7 +180,7 @@ class ShapedBody:
         """The body moving through `poses`.
 
         Args:
-            poses: world rotations and places, frame by frame.
+            poses: world rotations and root positions, frame by frame.
         """
         return _PosedSkeleton(self, poses)
 
@@ -188,7 +188,7 @@ class ShapedBody:
         """The same body with other vertices left out of contact: `contact` (vertices,) bool is False there.
 
         Args:
-            contact: (vertices,) bool, False where a vertex is left out.
+            contact: (vertices,) bool, False where a vertex is left out of contact.
         """
         return replace(self, contact=contact)
 
@@ -229,7 +229,7 @@ class PosedBody(AnimatedBody):
         """Any other surface moved by the bones of this body.
 
         Args:
-            rest_vertices: (vertices, 3) where it is when the body rests [m].
+            rest_vertices: (vertices, 3) its positions on the body at rest [m].
             weights: the bones of each vertex.
             start: first frame.
             stop: frame after the last.

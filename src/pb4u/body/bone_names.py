@@ -71,7 +71,7 @@ class HumanBones:
     Args:
         joints: bone by SMPL's name of the joint at its head, of limbs, neck and head.
         pelvis: the bone that both legs hang on.
-        spine: bones from above the pelvis to the one that both arms hang on, one at least.
+        spine: one or more bones, from above the pelvis to the parent of both arms.
         neck: bones between the spine and the head; there may be none.
     """
 
@@ -84,7 +84,7 @@ class HumanBones:
 def human_bones(
     names: Sequence[str], parents: Sequence[int], vrm: Mapping[str, int] | None = None
 ) -> HumanBones | None:
-    """The bones of a human; None where they are not one's.
+    """The bones of a human; None if the skeleton is not human.
 
     Args:
         names: of the bones, parents before children.
@@ -115,7 +115,7 @@ def human_bones(
 def smpl_names(
     names: Sequence[str], parents: Sequence[int], vrm: Mapping[str, int] | None = None
 ) -> dict[int, str] | None:
-    """Bones by the SMPL joints that they are; None where they are not a human's.
+    """SMPL's joint name of each bone; None if the skeleton is not human.
 
     Args:
         names: of the bones, parents before children.
@@ -133,7 +133,8 @@ def smpl_names(
 
 
 def unknown_bones(names: Sequence[str], parents: Sequence[int]) -> str:
-    """What keeps bones from being a human's, in words: the nearest scheme, what it lacks, and what may be meant.
+    """Sentence on why a skeleton is not recognised as human: the nearest naming scheme, its missing bones, and likely
+    matches.
 
     Args:
         names: of the bones, parents before children.

@@ -13,7 +13,7 @@ from pb4u.io.reading_limits import names_text
 
 
 def node_tree(file: GltfFile) -> NodeTree:
-    """The nodes of a file as they stand without an animation, lengths in the file's unit.
+    """The nodes of a file in their pose without animation, lengths in the file's unit.
 
     Args:
         file: a glTF file.
@@ -65,7 +65,7 @@ def read_clip(file: GltfFile, tree: NodeTree, name: str | None) -> Clip | None:
     Args:
         file: a glTF file.
         tree: its nodes.
-        name: name of the animation; the first where left out.
+        name: name of the animation; by default the first.
 
     Raises:
         InputError: the file has no animation of that name.

@@ -108,9 +108,9 @@ def read_character(
 
     Args:
         path: the .glb, .gltf or .vrm.
-        clip: name of the animation that it performs; the first where left out.
-        parts: names of the meshes or materials that make the body; recognised by their names where left out.
-        units: name of its unit of length; told by the size of a person where left out.
+        clip: name of the animation that it performs; by default the first.
+        parts: names of the meshes or materials that form the body; by default recognised by their names.
+        units: name of its unit of length; by default recognised by the size of a person.
 
     Raises:
         InputError: it is not a glTF file, is compressed by Draco or meshopt, has no skin, no such clip or part, or is

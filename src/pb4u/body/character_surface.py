@@ -47,7 +47,7 @@ class CharacterSurface:
         return CharacterSurface(places, self.faces, self.bones, self.weights)
 
     def welded(self) -> tuple[CharacterSurface, np.ndarray]:
-        """The surface with vertices in one place as one, where the same bones move them; and the vertex of each.
+        """The surface with coincident vertices merged if the same bones move them, and the new index of each vertex.
 
         glTF splits a vertex wherever its normal or its texture has two values.
         """

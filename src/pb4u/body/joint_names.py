@@ -42,7 +42,7 @@ _PLAIN_SMPL = {
 
 
 def plain_name(bone: str) -> str:
-    """What a bone is called in plain words, such as "left thigh"; its own name where it is none of those known.
+    """Plain name of a bone, such as "left thigh"; its own name if it is unknown.
 
     Args:
         bone: its name in Anny or in the SMPL family.

@@ -23,10 +23,10 @@ _CLOTH, _ANY_CLOTH = (0.3, 1.8), (0.05, 5.0)
 
 
 def body_unit(file: object, extent: float, unit: str | None = None) -> tuple[str, str | None]:
-    """The unit of a body's file, and what is to be told of it where it is not the metre.
+    """The unit of a body's file, and a note for the user if it is not the metre.
 
-    A grown-up in one of the units is taken for that. Else what can be a person or a figure in metres is in metres, and
-    what can be a person in one other unit alone is in that.
+    If the size is that of an adult in one of the units, this unit is used. Otherwise metres are used if a person or a
+    figure can have this size in metres, or another unit if a person can have it in this one only.
 
     Args:
         file: of the body, for the sentences.
@@ -34,7 +34,7 @@ def body_unit(file: object, extent: float, unit: str | None = None) -> tuple[str
         unit: unit that the user names.
 
     Raises:
-        InputError: the unit given is unknown or makes no figure, or none or several make a person.
+        InputError: the given unit is unknown or gives no possible figure, or no unit or several give a person.
     """
     shown = f"{extent:.3g}" if extent < 1000.0 else f"{extent:.0f}"
     if unit is not None:
@@ -73,7 +73,7 @@ def is_person(extent: float) -> bool:
 
 
 def garment_unit(extent: float) -> str | None:
-    """What an extent tells of a garment's unit, as a verb phrase; None where it can be that of one in metres.
+    """Verb phrase on the likely unit of a garment of this extent; None if it can be in metres.
 
     Args:
         extent: largest of the garment along an axis, as in its file.

@@ -72,10 +72,10 @@ def load_body(
         name_or_path: "woman", "man", "anny" (the full model), an SMPL-family .npz or .pkl, a baked body .npz, a rigged
             character (.glb, .gltf, .vrm), or a moving surface as `load_vertex_sequence` reads it.
         shape: shape parameters by name; a character and a moving surface have none.
-        clip: name of the clip that a character performs; its first where left out.
-        parts: names of the meshes or materials that make a character's body; recognised by their names where left out.
-        units: unit of length of a character's or a moving surface's file, such as "inches"; told by the size of a
-            person where left out.
+        clip: name of the clip that a character performs; by default its first.
+        parts: names of the meshes or materials that form a character's body; by default recognised by their names.
+        units: unit of length of a character's or a moving surface's file, such as "inches"; by default recognised by
+            the size of a person.
 
     Raises:
         InputError: the name is unknown, the file cannot be used, or a shape parameter does not fit.
@@ -120,7 +120,7 @@ def load_boned_body(name_or_path: str | Path, shape: Mapping[str, float] | None 
 
 
 def read_pickled_body(path: Path, units: str | None = None) -> BodyModel | VertexSequence:
-    """A body in a pickle, of which nothing is run: a sequence of vertices where it has them, else an SMPL model.
+    """A body in a pickle, read without running its code: a sequence of vertices if it has any, else an SMPL model.
 
     Args:
         path: the file.

@@ -40,7 +40,7 @@ def read_sam3d_body(path: Path) -> VertexSequence:
     Args:
         path: an .npz with `pred_vertices` (vertices, 3) or (frames, vertices, 3), or a folder of one a frame. The faces
             are in a member `faces`, or in a file beside it: `faces.npy`, or a .ply or .obj of one frame. A member `fps`
-            tells the frames per second, 30 without.
+            gives the frames per second; 30 without it.
 
     Raises:
         InputError: a part is missing, frames have different vertices, the rate is none, or there are no faces.

@@ -59,7 +59,7 @@ def load_vertex_sequence(path: str | Path, units: str | None = None) -> VertexSe
 
     Args:
         path: the file or folder; of an OBJ and its cache, either. It plays at 30 frames per second where it names none.
-        units: name of its unit of length; told by the size of a person where left out.
+        units: name of its unit of length; by default recognised by the size of a person.
 
     Raises:
         InputError: the file cannot be used.

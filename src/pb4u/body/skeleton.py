@@ -68,8 +68,8 @@ def branch(parents: Sequence[int] | np.ndarray, tops: Collection[int]) -> np.nda
     """Mask (bones,) bool of some bones and all that hang on them.
 
     Args:
-        parents: (bones,) index of each parent, before the bone itself; -1 for a root.
-        tops: indices of those bones.
+        parents: (bones,) index of each bone's parent, always lower than the bone's own; -1 for a root.
+        tops: indices of the topmost bones.
     """
     below = np.zeros(len(parents), dtype=bool)
     for bone, parent in enumerate(parents):
@@ -82,13 +82,13 @@ def hand_bones(names: Sequence[str], parents: Sequence[int] | np.ndarray) -> np.
 
     Args:
         names: (bones,) name of each.
-        parents: (bones,) index of each parent, before the bone itself; -1 for a root.
+        parents: (bones,) index of each bone's parent, always lower than the bone's own; -1 for a root.
     """
     return branch(parents, [bone for bone, name in enumerate(names) if name in _WRISTS])
 
 
 def world_rotations(local: np.ndarray, parents: np.ndarray) -> np.ndarray:
-    """World rotations of bones that are given from their parents.
+    """World rotations of bones whose rotations are given relative to their parents.
 
     Args:
         local: (frames, bones, 4) unit quaternions wxyz.

@@ -31,8 +31,8 @@ _MAIN, _OWN_LIMB, _LIMB_END = 0.5, 0.2, 0.05
 def skin_vertices(surface: CharacterSurface, limbs: np.ndarray) -> np.ndarray:
     """Mask (vertices,) bool of the vertices of the skin.
 
-    A piece that lies over others is none. Where one piece of what is left makes most of it, the others are skin only
-    where they go on at a border of it or have limbs of their own, as a head or a hand that was modelled apart.
+    A piece that lies over others is not skin. If one of the remaining pieces has most of the area, the others are skin
+    only if they continue it at a border or have limbs of their own, such as a head or a hand modelled separately.
 
     Args:
         surface: all meshes that may be skin, in the bind pose, not welded.

@@ -84,7 +84,7 @@ class VertexSequence(AnimatedBody):
         return torch.from_numpy(np.ascontiguousarray(result))
 
     def recorded_at(self, fps: float) -> VertexSequence:
-        """The same frames, at another rate than their file tells, or was taken to have.
+        """The same frames at another frame rate than that stated or assumed for the file.
 
         Args:
             fps: frames per second of `vertices`.
@@ -105,10 +105,10 @@ class VertexSequence(AnimatedBody):
         return self._with(fps=fps, held_start=round(self.held_start * fps / self.fps))
 
     def smoothed(self, cutoff: float) -> VertexSequence:
-        """The same motion without what is faster than `cutoff` [Hz], by a low-pass that delays nothing.
+        """The same motion without frequencies above `cutoff` [Hz], by a low-pass without delay.
 
         Args:
-            cutoff: frequency from which on motion is taken out [Hz].
+            cutoff: frequency above which motion is removed [Hz].
         """
         if not is_sampled_enough(len(self.vertices), self.stored_fps, cutoff):
             return self
@@ -119,7 +119,7 @@ class VertexSequence(AnimatedBody):
         """The same motion with other vertices left out of contact: `contact` (vertices,) bool is False there.
 
         Args:
-            contact: (vertices,) bool, False where a vertex is left out.
+            contact: (vertices,) bool, False where a vertex is left out of contact.
         """
         return self._with(contact=contact)
 
@@ -150,10 +150,10 @@ def body_from_arrays(
     Warns where the body is not closed, leaps, or seems to be Z up.
 
     Args:
-        vertices: (frames, vertices, 3), or (vertices, 3) of a body that stands [m], Y up.
+        vertices: (frames, vertices, 3), or (vertices, 3) of a body that does not move [m], Y up.
         faces: (faces, 3) vertex indices from 0, counter-clockwise from outside.
         fps: frames per second.
-        name: what it is called.
+        name: its name.
         contact: (vertices,) bool, False where contact is not answered; all True when not given.
         units: unit of the vertices, one of `pb4u.body.length_units.UNITS`.
 
@@ -208,7 +208,7 @@ def require_usable(
         path: its file, for the message.
         vertices: (frames, vertices, 3), in the unit of the file.
         faces: (faces, 3) int64.
-        units: name of the unit; recognised by the extent of the first frame where left out.
+        units: name of the unit; by default recognised by the extent of the first frame.
 
     Returns:
         The same, in metres; warns of what was changed.

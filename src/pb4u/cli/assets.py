@@ -233,8 +233,8 @@ def swatches(
 ) -> None:
     """Drape a disc of each fabric over a smaller one, as a laboratory does, and draw them on one sheet.\f
 
-    Below each stands its drape coefficient, the share of what hangs over that its shadow covers, and what is published
-    of its class. A disc takes 10 to 60 seconds.
+    Below each are its drape coefficient, the share of the free ring that its shadow covers, and the published range of
+    its class. A disc takes 10 to 60 seconds.
 
     Args:
         out: PNG or JPEG to write.

@@ -40,7 +40,7 @@ def check(
 ) -> None:
     """Diagnose a garment (and a body and a motion) before simulating; each fault with its fix.
 
-    Ends with exit code 1 when simulation would refuse the garment: as it was given, or with --fix as it was mended.\f
+    The exit code is 1 if a simulation would refuse the garment, or with --fix the repaired garment.\f
 
     Args:
         file: Built-in garment, mesh file, sewing pattern or FILE.pkl:NAME of a dictionary; the same as --garment.
@@ -48,11 +48,11 @@ def check(
             then also where they cross each other.
         body: Body that is to wear it.
         body_shape: shape of the body.
-        body_units: Unit of length of the body's file. Default: told by the size of a person.
+        body_units: Unit of length of the body's file. Default: recognised by the size of a person.
         motion: Motion to read and retarget as well.
         crop: frames of the recording.
         triangles: Triangles of a built-in garment or a pattern.
-        fix: Write the garment with all mended that is safe to mend, to a file of its own.
+        fix: Write a new file with the garment, after all repairs that are safe.
         json: file for the result.
 
     Raises:

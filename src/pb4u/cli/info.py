@@ -36,7 +36,7 @@ def info(
 
     Args:
         model: Also describe a network: what it is, its size, training and licence.
-        trajectory: Also tell the garments of a trajectory, the fabrics of each and what its parts are made of.
+        trajectory: Also list the garments of a trajectory, with their fabrics and those of their parts.
         json: file for the result.
     """
     check_json_target(json)

@@ -58,7 +58,7 @@ def _number_or_none(text: str) -> float | str:
 
 
 def is_on_or_off(entry: Entry) -> bool:
-    """Whether a flag takes `on` or `off`; the other switches have flags of their own for yes and no.
+    """Whether a flag takes `on` or `off`; other switches have separate flags for yes and no.
 
     Args:
         entry: the field.
@@ -71,7 +71,7 @@ def option(entry: Entry, more: str = "", parser: Callable[[str], Any] | None = N
 
     Args:
         entry: the field.
-        more: added to the help.
+        more: text added to the help.
         parser: makes the value of the text.
     """
     text = entry.help + more

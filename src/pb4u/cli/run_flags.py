@@ -22,7 +22,7 @@ class GarmentValue(NamedTuple):
     """A value of a flag for one garment.
 
     Args:
-        garment: name of the garment; None for whichever its place in the command says.
+        garment: name of the garment; None if the order in the command decides.
         value: the value.
     """
 
@@ -152,7 +152,7 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
         flags: values by name of the field, None where a flag is not given; `tuck` and `as_released` beside them.
 
     Raises:
-        InputError: a flag names a garment that is not there, or is given for none in particular.
+        InputError: a flag names an unknown garment, or does not say which garment it is for.
     """
     values = {name: value for name, value in flags.items() if value is not None}
     tuck, tack, method = values.pop("tuck", []), values.pop("tack", []), values.pop("as_released", None)

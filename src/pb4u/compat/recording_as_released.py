@@ -48,7 +48,7 @@ class SmplSequence:
 class RecordingAsItIs(MotionAsRecorded):
     """A recording of SMPL that nothing is changed of: not turned, not moved, not set on the ground, not resampled.
 
-    Hands are held flat, as the released code does on loading. Arms held away turn the shoulders about z by so much.
+    Hands are held flat, as the released code does on loading. `arms_away` turns the shoulders about z by that angle.
 
     Args:
         path: pickle of `body_pose`, `global_orient`, `transl`, `betas`, or of `pose`, `translation`, `shape` (VTO), or
@@ -81,7 +81,7 @@ class RecordingAsItIs(MotionAsRecorded):
         """The whole recording with frames before it, from the zero pose facing as its first frame does.
 
         Args:
-            body: who performs it.
+            body: the body that performs it.
             fps: frames per second, which is the recording's own [1/s].
             frames: number of frames before it; the released code's N interpolated ones are N + 1 here.
 

@@ -24,7 +24,7 @@ _LAYERS = {"0": "first", "2": "second", "4": "last"}
 
 
 class ReleasedFile:
-    """Tensors and settings of a released checkpoint; remembers what was read.
+    """Tensors and settings of a released checkpoint; remembers which entries were read.
 
     Args:
         path: of the file, for messages.
@@ -98,7 +98,7 @@ class ReleasedFile:
 
         Args:
             prefix: start of its keys in the file.
-            layers: what stands between the prefix and the number of a layer.
+            layers: text between the prefix and the number of a layer.
         """
         prefix = NETWORK + prefix
         layer_weights = {
@@ -174,7 +174,7 @@ def prefixed(prefix: str, mlp: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def reordered(weight: Tensor, names: Sequence[str], order: Sequence[str]) -> Tensor:
-    """The first layer of an MLP of parts of one width, its parts in another order.
+    """The first layer of an MLP whose input has parts of one width, with these parts in another order.
 
     Args:
         weight: (width, columns).

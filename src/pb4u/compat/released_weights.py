@@ -51,7 +51,7 @@ class ReleasedWeights:
         configuration: our network that they fit.
         tensors: its state; float32 as in the file, float64 where something was folded.
         record: what the file says about its training.
-        licence: what the user says of it, or that it is unknown.
+        licence: as given by the user, else that it is unknown.
         dropped: keys in the file that nothing reads.
     """
 

@@ -48,7 +48,7 @@ def write_result(trajectory: Trajectory, path: Path, progress: Progress) -> None
 def read_result(path: Path) -> Trajectory:
     """Trajectory in a result of the released code; nothing in it is run.
 
-    The files hold no rest shape and no velocities: the first frame stands for the one, differences for the other.
+    The files have no rest shape and no velocities: the first frame and differences of positions replace them.
 
     Args:
         path: the .pkl.

@@ -25,7 +25,7 @@ CLIPS, SHARDS, INDEX = "clips", "shards", "index.parquet"
 
 
 class Place(NamedTuple):
-    """Where the trajectory of a clip lies.
+    """Location of the trajectory of a clip.
 
     Args:
         file: path within the folder.
@@ -40,7 +40,7 @@ class DatasetFolder(JobFolder):
     """The files of one dataset; while open, it is this process's alone.
 
     Args:
-        path: the folder, made where it is not there.
+        path: the folder, created if absent.
         clips_per_shard: clips of one tar file, as WebDataset reads them; None keeps every clip a file of its own.
         half: whether trajectories are kept in half precision.
 
@@ -72,7 +72,7 @@ class DatasetFolder(JobFolder):
         return None if self.place(job.key) is None else super().result(job)
 
     def place(self, key: str) -> Place | None:
-        """Where the trajectory of a clip lies; None where there is none.
+        """Location of the trajectory of a clip; None where there is none.
 
         Args:
             key: address of the clip.

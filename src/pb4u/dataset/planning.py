@@ -37,7 +37,7 @@ def plan_clips(runs: Sequence[Run], half: bool, say: Callable[[str], None]) -> t
     Args:
         runs: what a jobs file describes.
         half: whether trajectories are kept in half precision.
-        say: takes a sentence where runs are the same.
+        say: called with a sentence if some runs are equal.
 
     Raises:
         InputError: a name or a file that a run needs is not there, or its model cannot be had so.

@@ -32,7 +32,7 @@ def check_live_folder(folder: Path) -> None:
     """Refuse a folder that holds anything but the frames of an earlier run; called before any work is done.
 
     Args:
-        folder: to write to; it is made where it is absent.
+        folder: to write to; it is created if absent.
 
     Raises:
         InputError: it is a file, it cannot be made or written to, or it holds something else.

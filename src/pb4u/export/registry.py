@@ -221,7 +221,7 @@ def check_view(path: Path, view: View) -> None:
 
 
 def check_bones(path: Path, bones: int) -> None:
-    """Refuse bones where none are written.
+    """Refuse a number of bones for a format without bones.
 
     Args:
         path: file to write.

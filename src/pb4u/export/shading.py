@@ -113,11 +113,12 @@ def _is_of(numbers: Mapping[str, Any], material: Material) -> bool:
 
 
 def garment_colours(fabrics: Sequence[str], chosen: Sequence[Colour] = ()) -> list[Colour]:
-    """Colours of the garments, sRGB [0 to 1]: the chosen ones, or that of what it is made of while no other has it.
+    """Colours of the garments, sRGB [0 to 1]: the chosen ones, else that of its material unless another garment has
+    this colour.
 
     Args:
         fabrics: name of the material of each garment.
-        chosen: colours of the first ones.
+        chosen: colours of the first garments.
     """
     colours: list[Colour] = []
     for number, name in enumerate(fabrics):

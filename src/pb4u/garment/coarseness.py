@@ -56,7 +56,7 @@ class Coarseness:
         Args:
             vertices: (vertices, 3) [m].
             faces: (faces, 3) int64.
-            body: who wears it.
+            body: the body that wears it.
         """
         edges = Topology(faces, len(vertices)).edges
         if not len(edges):

@@ -101,7 +101,7 @@ def diagnose(
 
     Args:
         garment: as it was read, or as it is simulated.
-        body: who wears it; without a body only the mesh itself is looked at.
+        body: the body that wears it; without a body only the mesh itself is looked at.
         file: the garment's file, named in the cures.
         body_file: name or file of the body, named in the cures; by default a place to put it.
     """
@@ -178,7 +178,7 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
 
     Args:
         garment: the garment.
-        body: who should wear it.
+        body: the body meant to wear it.
         file: where the garment was read from, named in the cures.
         support: what holds it up; None where that is not to be told of, such as where it is pinned.
 
@@ -215,7 +215,7 @@ def require_metres(
 
     Args:
         garment: as it was given.
-        body: who should wear it, whose size says the unit; None where there is none.
+        body: the body meant to wear it, whose size says the unit; None where there is none.
         file: where the garment was read from, named in the cures; None for arrays.
 
     Raises:
@@ -239,7 +239,7 @@ def require_clothes(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
 
     Args:
         garment: as it was read.
-        body: who should wear it.
+        body: the body meant to wear it.
 
     Raises:
         InputError: a part of it is a body.
@@ -255,7 +255,7 @@ def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
 
     Args:
         garment: as it was given.
-        body: who wears it.
+        body: the body that wears it.
 
     Raises:
         InputError: its extent is that of no garment in metres, or it does not come near the resting body.
@@ -271,7 +271,7 @@ def require_fine(garment: Garment, body: ShapedBody | AnimatedBody, *, accepted:
 
     Args:
         garment: as it is simulated.
-        body: who wears it.
+        body: the body that wears it.
         accepted: whether the user wants it as coarse as it is: a warning then takes the place of the refusal.
 
     Raises:

@@ -60,7 +60,7 @@ class GarmentSkinning:
     bone_count: int
 
     def at(self, corners: np.ndarray, barycentric: np.ndarray) -> GarmentSkinning:
-        """Skinning of other vertices, mixed from those of a triangle each.
+        """Skinning of other vertices, each interpolated from the corners of a triangle.
 
         Args:
             corners: (vertices, 3) int64, corners of the triangle that each lies on.
@@ -82,7 +82,7 @@ class PinSprings:
 
     Args:
         stiffness: of all of them together [N/m], so that it means the same at any number of triangles.
-        until: when they let go [s], since the simulation began.
+        until: time since the start of the simulation at which they release the vertices [s].
     """
 
     stiffness: float

@@ -44,7 +44,7 @@ def layered(garments: Sequence[Garment], body: RestBody) -> tuple[np.ndarray, ..
 
     Args:
         garments: inner first, each where it sits on the resting body; faces counter-clockwise from outside.
-        body: who wears them.
+        body: the body that wears them.
 
     Returns:
         (vertices, 3) float64 [m] of each garment; of a single one its own.

@@ -23,7 +23,7 @@ def limbs_outside(vertices: np.ndarray, faces: np.ndarray, body: ShapedBody) -> 
     Args:
         vertices: (vertices, 3) of the garment where it is worn [m].
         faces: (faces, 3) int64.
-        body: who wears it.
+        body: the body that wears it.
     """
     names, segments, _ = limb_bones(body)
     ends = body.skeleton.joints[segments]
@@ -39,7 +39,7 @@ def with_limbs_inside(garment: Garment, body: ShapedBody | AnimatedBody) -> Garm
 
     Args:
         garment: where it is worn.
-        body: who wears it; one without bones is not looked at.
+        body: the body that wears it; one without bones is not looked at.
 
     Raises:
         InputError: a limb is through it still.

@@ -50,7 +50,7 @@ def repair(source: PolygonMesh, body: ShapedBody | AnimatedBody | None = None) -
 
     Args:
         source: the garment.
-        body: who wears it; without a body only the mesh itself is mended.
+        body: the body that wears it; without a body only the mesh itself is mended.
     """
     changes, remarks = list[str](), list[str]()
     if not len(SourceSurface.of(source).faces):

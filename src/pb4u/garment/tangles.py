@@ -84,7 +84,7 @@ class OutfitCrossings:
 
         Args:
             garments: inner first.
-            body: who wears them.
+            body: the body that wears them.
         """
         return OutfitCrossings(
             _found(garments, [garment.vertices for garment in garments]), _found(garments, layered(garments, body))

@@ -94,13 +94,13 @@ def checked_uvs(owner: str, uvs: ArrayLike, uv_faces: ArrayLike, faces: int) -> 
 
 
 def checked_places(owner: str, what: str, places: ArrayLike, rows: int, count: int) -> np.ndarray:
-    """Places (rows,) int64 in a list.
+    """Indices (rows,) int64 into a list.
 
     Args:
         owner: what they belong to, for the message.
-        what: name of the places, for the message.
-        places: array or list of that shape.
-        rows: number of places.
+        what: name of the indices, for the message.
+        places: indices, an array or list of that shape.
+        rows: number of indices.
         count: entries of the list.
 
     Raises:

@@ -43,7 +43,7 @@ class JobFolder:
     """The files of one run; while open, it is this process's alone.
 
     Args:
-        path: the folder, made where it is not there.
+        path: the folder, created if absent.
         kind: what such a folder is of, such as "an evaluation".
         settings: what a run that goes on with it shares, by name of its flag; a result is no other's for it.
 
@@ -232,7 +232,7 @@ class JobFolder:
 
         Args:
             jobs: or packs of them, in the order to start them.
-            pool: who does them.
+            pool: the workers that do them.
             progress: called with (jobs ended, jobs in all).
         """
         waiting = deque(jobs)
@@ -276,7 +276,7 @@ class JobFolder:
             jobs: every job of the run.
             missing: what `still_to_do` gives, or packs of it, in the order to start them.
             noun: what the jobs are called, in the plural.
-            pool: makes those who do the jobs; called only where there are some.
+            pool: makes the workers; called only where there are jobs.
             progress: opens a display for a label.
             finish: what else to do then.
             title: what the label of the display begins with.

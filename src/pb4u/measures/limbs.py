@@ -52,7 +52,7 @@ class Bones:
     Args:
         names: name of each bone.
         ends: (frames, bones, 2, 3) its joint and the next [m].
-        skin: (body vertices,) int64 the bone that moves each most; -1 where that is none of these.
+        skin: (body vertices,) int64 the bone that moves each most; -1 if it is another bone.
         scene: whose bodies they are, if it is known.
     """
 

@@ -22,7 +22,7 @@ def character_lead_in(character: Character, poses: NodePoses, fps: float, frames
     interpolated by slerp, and the whole is moved up or down to where its lowest point belongs.
 
     Args:
-        character: who performs them.
+        character: the character that performs them.
         poses: of its clip.
         fps: frames per second.
         frames: how many frames lead in.

@@ -25,7 +25,7 @@ def lead_in(poses: PoseSequence, body: ShapedBody, frames: int) -> PoseSequence:
 
     Args:
         poses: the motion.
-        body: who performs it.
+        body: the body that performs it.
         frames: how many frames lead in.
 
     Raises:

@@ -116,7 +116,7 @@ class MotionAsRecorded(Motion):
         """The whole recording with frames before it.
 
         Args:
-            body: who performs it.
+            body: the body that performs it.
             fps: frames per second [1/s].
             frames: number of frames before it.
 

@@ -23,14 +23,14 @@ def evaluate(
     say: Callable[[str], None] = lambda sentence: None,
     progress: Callable[[str], AbstractContextManager[Progress]] = quiet,
 ) -> dict[str, Any]:
-    """Run a protocol into a folder, going on where an earlier run stopped, and write its report.
+    """Run a protocol into a folder, continuing where an earlier run stopped, and write its report.
 
     Args:
         request: what to run.
-        out: folder of the run, made where it is not there.
-        pool: makes those who do the rollouts; called only where some are missing.
+        out: folder of the run, created if absent.
+        pool: makes the workers; called only where rollouts are missing.
         retry: try those again that failed before.
-        say: takes sentences on how it goes.
+        say: called with sentences on the progress.
         progress: opens a display for a label; none by default.
 
     Returns:

@@ -23,7 +23,7 @@ def drafted_garment(name: str, body: ShapedBody, triangles: int) -> Garment:
 
     Args:
         name: one of `DRAFTED`.
-        body: who wears it.
+        body: the body that wears it.
         triangles: wanted number of triangles.
 
     Raises:

@@ -67,7 +67,7 @@ def load_garments(
 
     Args:
         specified: which, inner first but for what is tucked into another.
-        body: who wears them.
+        body: the body that wears them.
         as_recorded: whether a recording is played as it is, with garments as coarse as its authors had them.
         rest_shape: of the built-in ones.
 
@@ -96,7 +96,7 @@ def load_garment(spec: WornGarment, body: Body, rest_shape: RestShape = Run.rest
 
     Args:
         spec: which garment, and what is asked for of it.
-        body: who wears it.
+        body: the body that wears it.
         rest_shape: of a built-in one.
 
     Raises:
@@ -263,7 +263,7 @@ def read(spec: WornGarment, body: Body, rest_shape: RestShape = Run.rest_shape) 
 
     Args:
         spec: which garment.
-        body: who wears it.
+        body: the body that wears it.
         rest_shape: of a built-in one.
 
     Raises:
@@ -288,7 +288,7 @@ def place(garment: Garment, body: Body, kind: Kind) -> Garment:
 
     Args:
         garment: as it was read.
-        body: who wears it.
+        body: the body that wears it.
         kind: of the garment.
     """
     if not (kind.is_at_origin and isinstance(body, ShapedBody)):
@@ -301,7 +301,7 @@ def remesh(garment: Garment, body: Body, kind: Kind, triangles: int | None) -> G
 
     Args:
         garment: where it is worn.
-        body: who wears it.
+        body: the body that wears it.
         kind: of the garment.
         triangles: wanted number; None for its own.
 
@@ -329,7 +329,7 @@ def hold(
 
     Args:
         garment: where it is worn.
-        body: who wears it.
+        body: the body that wears it.
         kind: of the garment.
         pins: as for `resolve_pins`; None for its own, or for what is found.
 
@@ -356,7 +356,7 @@ def check(garment: Garment, body: Body, kind: Kind, support: Support | None, fil
 
     Args:
         garment: as it is held.
-        body: who wears it.
+        body: the body that wears it.
         kind: of the garment.
         support: what holds it up, None where that is not to be told of.
         file: what the user named, for the cures.

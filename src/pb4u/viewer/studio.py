@@ -28,7 +28,7 @@ class Studio:
     Args:
         clips: what every new window shows first: none, one, or two side by side.
         host: address to listen on.
-        port: port to listen on; 0 takes a free one.
+        port: port to listen on; 0 chooses a free one.
         out: folder that exports are kept in besides being downloaded, or None.
 
     Raises:

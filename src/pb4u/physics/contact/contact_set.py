@@ -161,7 +161,7 @@ class ContactSet:
         transported: (vertices, 3) [m] positions of the vertices if the body carried them over the step, or None.
         transported_normals: (vertices, 3) the body's unit normals there at t+1, or None.
         cloth: pairs of cloth elements that may feel each other at t+1, or None.
-        cloth_now: those that do at frame t, or None.
+        cloth_now: pairs of cloth elements that touch at frame t, or None.
         obstacle: the bodies at t+1 as cloth may not pass through them, or None.
         raised: heights (vertices,) [m] that the planes are raised by for the cloth between vertices, or None.
     """

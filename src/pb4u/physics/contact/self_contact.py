@@ -292,7 +292,7 @@ class CollisionFree:
             garments: static quantities.
             before: (vertices, 3) [m] that cross nowhere.
             wanted: (vertices, 3) [m].
-            cloth: all pairs that may touch on the way, where they were queried already.
+            cloth: all pairs that may touch during the move, if they were found before.
             held: (vertices,) bool, of which none gives way to what meets it, as no pinned vertex does; None for none.
             obstacle: the bodies, which move while the cloth does; None for none.
             apart: whether cloth is known to come to `wanted` from `before`, by whatever way, without touching cloth:
@@ -319,7 +319,7 @@ class CollisionFree:
 
         Args:
             garments: static quantities.
-            cloth: all pairs that may touch on the way.
+            cloth: all pairs that may touch during the move.
             x: (vertices, 3) [m] that cross nowhere.
             moves: (vertices, 3) [m].
         """
