@@ -17,11 +17,11 @@ def hold_finite(trajectory: Trajectory) -> Trajectory:
     """The trajectory with each frame that holds NaN or infinity replaced by the last whole frame before it.
 
     No scene format has a place for NaN: tools drop the mesh or crash. The frames concerned are named in an
-    InputWarning and under `held_frames` in the metadata, from which writers mark them. Frames before the first
-    whole one repeat that one.
+    InputWarning and under `held_frames` in the metadata, from which writers mark them. Frames before the first finite
+    one repeat it.
 
     Args:
-        trajectory: as it was simulated.
+        trajectory: as simulated.
 
     Raises:
         InputError: no frame is whole.

@@ -53,15 +53,15 @@ def write_glb(
 ) -> str | None:
     """Write one GLB file; vertices keep their order, copies with a second UV at a seam follow after the last.
 
-    The frames that `hold_finite` replaced are listed in the `extras` of the asset. An InputWarning says where
-    256 targets do not reach a millimetre.
+    The frames that `hold_finite` replaced are listed in the `extras` of the asset. An InputWarning says if 256 targets
+    leave an error above a millimetre.
 
     Args:
-        trajectory: what is written, every frame finite.
+        trajectory: to write, with finite frames only.
         path: file to write.
         progress: called after each pass over the frames.
         body: whether the body is written as well.
-        bones: of each surface, in the place of its morph targets: what game engines play.
+        bones: number of bones of each surface, used instead of morph targets because game engines play bones.
 
     Returns:
         How far off bones leave the garment, as a predicate without its subject; None without them.

@@ -9,7 +9,7 @@ from pb4u.errors import InputError
 
 
 def incomplete(path: Path) -> InputError:
-    """The refusal of a file that a library left unfinished without a usable reason, mostly on a full disk.
+    """Error for a file that a library left incomplete without a usable reason, mostly on a full disk.
 
     Args:
         path: the file, where it was being written.

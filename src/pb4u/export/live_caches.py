@@ -89,7 +89,7 @@ class LiveCaches:
         self._folder = folder
 
     def append(self, frame: Frame) -> None:
-        """Take a computed frame, and write the frames that can be interpolated from what has come.
+        """Accept a computed frame, and write the frames that can be interpolated from the frames so far.
 
         Args:
             frame: the next one.

@@ -53,7 +53,7 @@ assert picture.GetOutput().GetScalarRange()[1] > 100
 
 
 def choose_opengl() -> None:
-    """Set the environment of this process so that VTK draws off screen, if it does not as it is.
+    """Set the environment of this process so that VTK draws off screen, unless it already does.
 
     Raises:
         Pb4uError: nothing that is here draws.

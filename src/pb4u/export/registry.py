@@ -26,14 +26,15 @@ class Format:
     Args:
         suffixes: of the file names, in lower case.
         description: one sentence for the command line, without its full stop.
-        writer: called with the trajectory, the path and the progress to call; it may write more than
-            one file, all of them in the folder of the path, and may return what a user should know of them.
+        writer: called with the trajectory, the path and the progress to call; it may write more than one file, all in
+            the folder of the path, and may return a note for the user.
         check: called with the path before any work is done; raises where the format cannot be written there.
         files: called with the path and the number of frames; the files written, where that is more than the path.
-        stale: called with the path and the number of frames; files of a longer one before it, deleted once it is there.
+        stale: called with the path and the number of frames; gives the surplus files of a longer sequence written
+            before, to be deleted after the export.
         coloured: whether it shows images and colours of garments; where a remeshing has lost them, the author's own
             mesh is written.
-        finite: whether frames that are not finite are held first (`finite_frames`).
+        finite: whether frames that are not finite are replaced first (`finite_frames`).
         drawn: whether it shows pictures; the writer takes a `view` then.
         side_multiple: what the sides of its pictures are a multiple of [pixels].
     """
@@ -179,7 +180,7 @@ _COUNTED_FRAMES = 3
 
 
 def is_same_file(one: Path, other: Path) -> bool:
-    """Whether two paths are of one file, be it there already or not.
+    """Whether two paths name the same file, whether or not it exists.
 
     Args:
         one: a path.
@@ -205,7 +206,7 @@ def check_view(path: Path, view: View) -> None:
         view: camera, size and colours.
 
     Raises:
-        InputError: nothing is drawn there, or its pictures cannot have that size.
+        InputError: the file has no pictures, or they cannot have that size.
     """
     form = WRITERS[path.suffix.lower()]
     if not form.drawn:
@@ -249,13 +250,13 @@ def export(
     """Write a trajectory in the format its suffix names; files appear when they are complete, or not at all.
 
     Args:
-        trajectory: frames that are not finite are held (`finite_frames`), except in .npz, which keeps what was
-            simulated.
+        trajectory: frames that are not finite are replaced (`finite_frames`), except in .npz, which keeps the simulated
+            values.
         path: file to write.
-        progress: called with what is done.
+        progress: called with the number of finished parts.
         view: camera, size and colours of pictures.
-        say: called with a sentence where there is more to know of what was written, as a video's codec.
-        bones: of each surface of a GLB, in the place of morph targets; None for those.
+        say: called with a sentence on details of the written file, such as a video's codec.
+        bones: number of bones of each surface of a GLB; None for morph targets.
 
     Raises:
         InputError: the target cannot be written, or not with this view.

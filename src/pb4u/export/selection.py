@@ -21,10 +21,10 @@ _ALL = slice(None)
 
 
 class LazyFrames:
-    """Takes the place of an array (frames, vertices, 3) float32 and computes the parts that are read.
+    """Behaves like an array (frames, vertices, 3) float32, but computes only the parts that are read.
 
-    `frames[t]`, `frames[a:b]`, `frames[:, vertices]` and iteration compute that part only;
-    any other use goes through a full array.
+    `frames[t]`, `frames[a:b]`, `frames[:, vertices]` and iteration compute only that part; any other use computes the
+    full array.
 
     Args:
         frames: how many there are.
@@ -39,7 +39,7 @@ class LazyFrames:
         self._compute = compute
 
     def as_array(self) -> np.ndarray:
-        """Itself, typed as the array (frames, vertices, 3) float32 [m] that it stands for."""
+        """This object, typed as an array (frames, vertices, 3) float32 [m]."""
         return cast(np.ndarray, self)
 
     def __len__(self) -> int:
@@ -88,7 +88,7 @@ def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: i
 
 
 def looks_are_on_source(header: TrajectoryHeader) -> bool:
-    """Whether a garment has its colours and images on the author's mesh alone, as one that was remeshed.
+    """Whether a garment has its colours and images only on the author's mesh, as after remeshing.
 
     Args:
         header: of the trajectory.

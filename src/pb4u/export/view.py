@@ -28,7 +28,7 @@ class View:
         elevation: angle above the horizontal [deg], 0 to 90, where the ground is seen from above.
         turntable: turn of the camera about the vertical over the whole clip [deg].
         show_body: whether the body is drawn.
-        cloths: colours of the garments, the first one's first; those beyond have their usual ones.
+        cloths: colours of the garments in order; further garments have their default colour.
         weave: whether the threads of the cloth are drawn where it has UVs.
         background: colour behind and below it all, sRGB [0 to 1].
 

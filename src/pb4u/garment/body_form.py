@@ -30,7 +30,7 @@ _STEP = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """A chain of three joints on one side, +1 for the body's left (+X), and the bones that hang on it.
+    """A chain of three joints on one side, +1 for the body's left (+X), and their descendants.
 
     Args:
         side: +1 or -1.
@@ -45,7 +45,7 @@ class Limb:
     tip: np.ndarray
 
     def along(self, fraction: float) -> np.ndarray:
-        """Point (3,) [m] at a fraction of the way: 0 first joint, 1 second, 2 third.
+        """Point (3,) [m] along the limb: 0 first joint, 1 second, 2 third.
 
         Args:
             fraction: 0 to 2.
@@ -248,7 +248,7 @@ class BodyForm:
 
     @cached_property
     def neck_half_width(self) -> float:
-        """Half the width [m] of the neck at its base, or above the shoulders where strong ones rise beside it."""
+        """Half the width [m] of the neck at its base, or higher up where strong shoulders rise beside it."""
         points, _, owner = self.samples
         inner = points[(np.abs(points[:, 0]) < 0.12 * self.scale) & ~self.arm_skin[owner]]
 
@@ -261,7 +261,7 @@ class BodyForm:
 
     @cached_property
     def shoulder_slope(self) -> float:
-        """Angle [rad] by which the tops of the shoulders fall where straps lie, from half the way to the joint on."""
+        """Angle [rad] by which the tops of the shoulders slope under straps, from halfway to the joint onwards."""
         points, _, owner = self.samples
         width = self.shoulder_half_width
         skin = points[~self.head[owner] & (points[:, 1] > self.armpit)]
@@ -292,7 +292,7 @@ class BodyForm:
 
 
 def form_of(body: ShapedBody) -> BodyForm:
-    """The form of a body, made once and kept with it.
+    """The form of a body, computed once and stored with it.
 
     Args:
         body: the resting body.

@@ -25,7 +25,7 @@ class DictionaryEntry(NamedTuple):
 
     @classmethod
     def parse(cls, text: str | Path) -> DictionaryEntry | None:
-        """Entry that FILE.pkl, FILE.pkl:NAME or FILE.pkl:NAME@CENTRE names; None where the text is none of them.
+        """Entry that FILE.pkl, FILE.pkl:NAME or FILE.pkl:NAME@CENTRE names; None for any other text.
 
         Args:
             text: value of --garment.

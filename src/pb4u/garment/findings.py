@@ -63,7 +63,7 @@ def surface_findings(surface: SourceSurface) -> list[Finding]:
     """Faults of the mesh itself, on whatever body.
 
     Args:
-        surface: of the garment as its author made it.
+        surface: of the author's mesh of the garment.
     """
     findings = [_finding(surface, fault) for fault in surface_faults(surface)]
     if len(surface.faces) > MOST_SIMULATED:
@@ -83,13 +83,13 @@ def _finding(surface: SourceSurface, fault: Fault) -> Finding:
 
 
 def placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: str) -> list[Finding]:
-    """Faults of units, axes and place.
+    """Faults of units, axes and position.
 
     Args:
-        vertices: (vertices, 3) of the garment as it is given.
+        vertices: (vertices, 3) of the garment as given.
         fit: how it has to move to be worn.
         body: the resting body.
-        mend: command that mends what is found.
+        mend: command that repairs the faults.
     """
     if fit.is_identity:
         return far_finding(vertices, body)
@@ -186,10 +186,10 @@ def far_finding(vertices: np.ndarray, body: RestBody) -> list[Finding]:
 
 
 def body_findings(surface: SourceSurface, body: RestBody) -> list[Finding]:
-    """A body in the place of a garment, or among it.
+    """A body given as a garment, or as part of one.
 
     Args:
-        surface: of the garment as its author made it.
+        surface: of the author's mesh of the garment.
         body: the resting body.
     """
     mask = body_faces(surface.source.vertices, surface.faces, body)
@@ -216,7 +216,7 @@ def support_findings(
         faces: (faces, 3) int64.
         body: the resting body.
         support: what holds it up.
-        names: (vertices,) number of each vertex in the author's mesh; its place in `vertices` by default.
+        names: (vertices,) number of each vertex in the author's mesh; its index in `vertices` by default.
     """
     if support.name == "shoulders":
         return []
@@ -249,11 +249,11 @@ def contact_findings(
     """First-frame penetration, a garment inside out, a body that is not closed.
 
     Args:
-        surface: of the garment as its author made it.
+        surface: of the author's mesh of the garment.
         fit: how the garment has to move to be worn.
         body: the resting body.
-        measures: numbers by name, to which are added those found here.
-        mend: command that mends what is found.
+        measures: numbers by name; this function adds its own.
+        mend: command that repairs the faults.
     """
     used = np.unique(surface.faces)
     placed = fit.apply(surface.source.vertices)
@@ -286,9 +286,9 @@ def crossing_findings(surface: SourceSurface, vertices: np.ndarray, measures: di
     """A garment that passes through itself; open seams count as welded.
 
     Args:
-        surface: of the garment as its author made it.
+        surface: of the author's mesh of the garment.
         vertices: (vertices, 3) of the garment where it is worn [m].
-        measures: numbers by name, to which are added those found here.
+        measures: numbers by name; this function adds its own.
     """
     welded = surface.weld_target[surface.faces]
     proper = np.flatnonzero((welded != np.roll(welded, 1, axis=1)).all(axis=1))
@@ -318,8 +318,8 @@ def penetration_findings(
     Args:
         distances: (vertices,) signed, to the body [m].
         body: the resting body.
-        mend: command that mends what is found.
-        ids: (vertices,) number of each vertex; its place in `distances` by default.
+        mend: command that repairs the faults.
+        ids: (vertices,) number of each vertex; its index in `distances` by default.
     """
     if not body.is_closed:
         sentence = f'The body "{body.name}" is not a closed surface, so penetration is not reported.'

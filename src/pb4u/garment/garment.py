@@ -27,7 +27,7 @@ _CREASE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class SourceMap:
-    """Places of the author's vertices on the simulated mesh, by triangle and barycentric coordinates.
+    """Positions of the author's vertices on the simulated mesh, as triangles and barycentric coordinates.
 
     Args:
         source: the author's mesh.
@@ -50,7 +50,7 @@ class GarmentSkinning:
         pose_directions: (vertices, 3, pose features) float64 displacement a pose feature [m]; the features are the
             entries of the local rotations minus identity of all bones but the root.
         weights: bones of each vertex.
-        bone_count: bones of the body that it is meant for.
+        bone_count: number of bones of the body that it was made for.
     """
 
     vertices: np.ndarray
@@ -81,7 +81,7 @@ class PinSprings:
     """Springs between the pins of a garment and where skinning puts them.
 
     Args:
-        stiffness: of all of them together [N/m], so that it means the same at any number of triangles.
+        stiffness: total of all springs [N/m], so that it does not depend on the number of triangles.
         until: time since the start of the simulation at which they release the vertices [s].
     """
 
@@ -97,8 +97,8 @@ class Garment:
         name: what the user called it.
         vertices: (vertices, 3) float64 rest positions [m], where they sit on the resting body.
         faces: (faces, 3) int64, counter-clockwise from outside.
-        material: cloth of all faces; of several materials, the one that covers most.
-        pinned: (vertices,) bool, vertices that follow the body; left out, none does.
+        material: cloth of all faces; of several materials, the one of the largest area.
+        pinned: (vertices,) bool, vertices that follow the body; by default none.
         uvs: (uv points, 2) float64 of the simulated mesh, or None.
         uv_faces: (faces, 3) int64 into `uvs`, or None.
         source: map to the author's mesh, or None where that is the simulated mesh itself.
@@ -106,28 +106,28 @@ class Garment:
         coarse_edges: (edges, 2) int64 of each coarse level from fine to coarse, where its file brings them.
         skinning: how it rides on the body, where its file says so; None borrows from the body.
         rest_uv: (faces, 3, 2) float64 corners of each face lying flat [m], of cloth that was cut flat and sewn. These
-            triangles are then the rest shape, and `vertices` only says where they are worn. None where `vertices` is
+            triangles are then the rest shape, and `vertices` is only the position on the body. None where `vertices` is
             the rest shape.
-        grainless: whether `rest_uv` is turned anyhow; else its second axis is the warp's.
+        grainless: whether the axes of `rest_uv` are arbitrary; otherwise its second axis is the warp.
         appearances: colours and images of the faces, or None.
         panels: names of the pattern's panels, where it was sewn of one: each is an island of `uv_faces`, in the order
             of their first UV points.
-        materials: cloths of its parts; left out, `material` alone.
+        materials: cloths of its parts; by default only `material`.
         face_material: (faces,) int64 which of the `materials` each face, or most of it, is made of; None where there
             is one at most.
-        material_layers: (faces, materials) float64 number of layers of each of the `materials` on each face, in the
-            mean of its area; left out, each face is one layer of one.
+        material_layers: (faces, materials) float64 number of layers of each of the `materials` on each face, averaged
+            over its area; by default each face is one layer of one material.
         trims: interfacing and elastic of its faces; None for none.
-        sewn: what its parts have that the rest of it has not.
-        pieces: names of parts of its file, each once; left out, those of its `appearances`.
+        sewn: materials, layers and trims of its parts that the rest of it does not have.
+        pieces: names of parts of its file, each once; by default those of its `appearances`.
         piece_of_face: (faces,) int64 which of the `pieces` each face belongs to, -1 for none; or None.
-        springs: on which its pins are held; None where they hold exactly, and always.
+        springs: springs of its pins; None if pins hold exactly and are never released.
         pressed: (faces,) bool, faces that are pressed over: along edges between them and others cloth bends as good as
             freely; None for none.
         buttons: (buttons,) int64 vertices that buttons close; None for none.
 
     Raises:
-        InputError: an array has another shape, or holds what cannot be used. Lists are taken for arrays.
+        InputError: an array has another shape, or holds what cannot be used. Lists are converted to arrays.
     """
 
     name: str
@@ -208,7 +208,7 @@ class Garment:
 
     @property
     def mesh(self) -> PolygonMesh:
-        """The simulated mesh as it is written to a file, with its UV points and colours."""
+        """The simulated mesh for writing to a file, with its UV points and colours."""
         uv_faces = None if self.uv_faces is None else tuple(self.uv_faces)
         return PolygonMesh(self.vertices, tuple(self.faces), self.uvs, uv_faces, self.appearances)
 
@@ -223,12 +223,12 @@ class Garment:
 
     @property
     def has_grain(self) -> bool:
-        """Whether it is known which way its warp runs; where it is not, its cloth is alike in all directions."""
+        """Whether the direction of its warp is known; otherwise its cloth is the same in all directions."""
         return self.rest_uv is not None and not self.grainless
 
     @property
     def has_elastic(self) -> bool:
-        """Whether elastic gathers a part of it."""
+        """Whether elastic gathers one of its parts."""
         return self.trims is not None and bool((self.trims.elastic < 1.0).any())
 
     @cached_property
@@ -262,7 +262,7 @@ class Garment:
     def of_faces(self, name: str) -> np.ndarray:
         """A property of the cloth of each face, (faces,) or (faces, numbers) in its unit; of several the mean by area.
 
-        What layers add up to is that of all of them: density, membrane, bending and thickness.
+        Density, membrane stiffness, bending stiffness and thickness of layers add up.
 
         Args:
             name: attribute of `Material`.
@@ -303,7 +303,7 @@ class Garment:
     def hinge_bending(self) -> np.ndarray:
         """Bending coefficients (hinges,) [J]: two materials bend in series, each as wide as its face.
 
-        Bands run through faces beside each other, not from one to the other: there it is the mean by area.
+        Within bands it is the area-weighted mean, since a band runs through both faces side by side.
         """
         hinge_faces = self.topology.hinge_faces
         bending, areas = self._side_bending(hinge_faces), self.face_areas[hinge_faces]
@@ -361,7 +361,7 @@ class Garment:
         return bool(source_vertices >= len(self.vertices))
 
     def is_skinned_for(self, body: ShapedBody | AnimatedBody) -> bool:
-        """Whether its own file says how this body wears it: its skinning names as many bones as the body has.
+        """Whether its file has skinning for this body: weights for as many bones as the body has.
 
         Args:
             body: any body.

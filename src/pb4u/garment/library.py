@@ -53,13 +53,13 @@ def build_garment(
 ) -> Garment:
     """A built-in garment fitted to the resting `body`, with about `triangles` triangles of even size.
 
-    Every count approximates the same smooth surface. Surface and garment are kept as long as the body lives. It is the
-    plain cut: hems, cuffs and elastic are sewn to it by `make_scene`.
+    Every count approximates the same smooth surface. Surface and garment are cached as long as the body object exists.
+    It is the plain cut: hems, cuffs and elastic are sewn to it by `make_scene`.
 
     Args:
         name: one of `garment_names()`.
         body: any body whose skeleton has shoulders, elbows, wrists, hips, knees and ankles.
-        triangles: wanted number of triangles, from 200 to 200,000; met within 5 %.
+        triangles: number of triangles, from 200 to 200,000; the result is within 5 % of it.
         rest_shape: "flat", cut of flat panels that have a grain, in a fabric of its own; or "moulded", as it sits on
             the body, in the material of the family of networks.
 
@@ -93,7 +93,7 @@ def cut_garment(name: str, cut: Cut, body: ShapedBody, triangles: int) -> Garmen
         name: name of the garment.
         cut: of the garment.
         body: resting body, with the joints that `build_garment` asks for.
-        triangles: wanted number of triangles, met within 5 %.
+        triangles: number of triangles; the result is within 5 % of it.
 
     Raises:
         InputError: a body without those joints, or a surface that so many triangles cannot mesh.

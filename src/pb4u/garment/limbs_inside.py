@@ -38,7 +38,7 @@ def with_limbs_inside(garment: Garment, body: ShapedBody | AnimatedBody) -> Garm
     """The garment, pushed out of the body where limbs of the resting body go through it; unchanged where none does.
 
     Args:
-        garment: where it is worn.
+        garment: as worn at rest.
         body: the body that wears it; one without bones is not looked at.
 
     Raises:

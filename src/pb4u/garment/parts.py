@@ -68,7 +68,7 @@ class Parts:
     """The parts of a garment.
 
     Args:
-        garment: where it is worn.
+        garment: as worn at rest.
     """
 
     def __init__(self, garment: Garment) -> None:
@@ -208,7 +208,7 @@ def with_parts(
     """A garment with fabrics, further layers, interfacing and elastic on parts of it; bands lie over pieces.
 
     Args:
-        garment: where it is worn.
+        garment: as worn at rest.
         materials: of parts by name; elastic that gathers its part is of webbing where none is given.
         widths: of bands by name [m].
         layers: number of layers of parts by name.

@@ -26,7 +26,7 @@ def tacked(garment: Garment, tacks: Sequence[tuple[int, int]]) -> Garment:
     """The garment with vertices made one, halfway between them; its triangles keep their shapes at rest.
 
     Args:
-        garment: as it is simulated.
+        garment: as simulated.
         tacks: pairs of vertices of the author's mesh, counted from 0.
 
     Raises:

@@ -287,7 +287,7 @@ def place(garment: Garment, body: Body, kind: Kind) -> Garment:
     """The garment where the body stands.
 
     Args:
-        garment: as it was read.
+        garment: as read.
         body: the body that wears it.
         kind: of the garment.
     """
@@ -300,7 +300,7 @@ def remesh(garment: Garment, body: Body, kind: Kind, triangles: int | None) -> G
     """The garment with about `triangles` triangles, outside the body where its author's mesh is.
 
     Args:
-        garment: where it is worn.
+        garment: as worn at rest.
         body: the body that wears it.
         kind: of the garment.
         triangles: wanted number; None for its own.
@@ -328,7 +328,7 @@ def hold(
     """The garment, pinned, and what holds it up where no pins do; None where that is not looked for.
 
     Args:
-        garment: where it is worn.
+        garment: as worn at rest.
         body: the body that wears it.
         kind: of the garment.
         pins: as for `resolve_pins`; None for its own, or for what is found.

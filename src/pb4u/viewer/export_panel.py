@@ -132,7 +132,7 @@ def deliver(
         clip: what to write.
         suffix: one of `pb4u.export.registry.WRITERS`.
         folder: where to keep the files as well; None keeps none.
-        say: called with a sentence where there is more to know of what was written.
+        say: called with a sentence on details of the written file.
 
     Returns:
         Name and content of one file for the browser (a ZIP where the format is several files), and where it was kept.
