@@ -101,7 +101,7 @@ def diagnose(
 
     Args:
         garment: as read, or as simulated.
-        body: the body that wears it; without a body only the mesh itself is looked at.
+        body: the body that wears it; without a body only the mesh itself is checked.
         file: the garment's file, named in the cures.
         body_file: name or file of the body for the suggested commands; by default a placeholder.
     """

@@ -39,7 +39,7 @@ def with_limbs_inside(garment: Garment, body: ShapedBody | AnimatedBody) -> Garm
 
     Args:
         garment: as worn at rest.
-        body: the body that wears it; one without bones is not looked at.
+        body: the body that wears it; a body without bones is ignored.
 
     Raises:
         InputError: a limb is through it still.

@@ -48,9 +48,9 @@ class Part:
     Args:
         name: of the part.
         is_band: whether it lies along a border.
-        beyond: (faces, 3) float64 at the corners of the faces, linear between, what lies beyond it being positive.
-        along: (faces, 3) direction of the nearest border of the garment that the part reaches, where it is worn; None
-            where it reaches none.
+        beyond: (faces, 3) float64 at the corners of the faces, linear between, positive beyond it.
+        along: (faces, 3) direction of the nearest border of the worn garment that the part reaches; None if it reaches
+            none.
     """
 
     name: str
@@ -86,7 +86,7 @@ class Parts:
 
     @cached_property
     def open_front(self) -> np.ndarray:
-        """Edges (edges, 2) int64 of the border round an open front; none where it is closed."""
+        """Edges (edges, 2) int64 of the border around an open front; empty if it is closed."""
         vertices, loops = self._garment.vertices, self._garment.topology.boundary_loops
         around = [loop for loop, beside in zip(loops, self._beside, strict=True) if not beside]
         top = max(around, key=lambda loop: vertices[loop, 1].max(), default=np.zeros(0, dtype=np.int64))
@@ -139,10 +139,10 @@ class Parts:
 
         Args:
             name: one of `names`.
-            width: of a band [m]; None for its usual one.
+            width: of a band [m]; None for its default.
 
         Raises:
-            InputError: it is not there, a piece is given a width, or a band is wider than the panels that it lies on.
+            InputError: there is no such part, a width is given for a piece, or a band is wider than its panels.
         """
         garment = self._garment
         refuse_unknown("part", [name], self.names, f"The garment {garment.name}")
@@ -209,15 +209,15 @@ def with_parts(
 
     Args:
         garment: as worn at rest.
-        materials: of parts by name; elastic that gathers its part is of webbing where none is given.
+        materials: of parts by name; by default elastic that gathers its part is webbing.
         widths: of bands by name [m].
         layers: number of layers of parts by name.
         interfacing: bending stiffness that is added to parts by name [N m].
         elastic: rest length of parts along their border over that of the cloth, by name.
 
     Raises:
-        InputError: a part is not there or has nothing, a band is wider than its panel, two parts claim a face, or
-            elastic lies on a part that reaches no border.
+        InputError: a part is unknown or empty, a band is wider than its panel, two parts share a face, or elastic is
+            given to a part that reaches no border.
     """
     webbing = {name: FABRICS[WEBBING] for name, ratio in elastic.items() if ratio < 1.0}
     materials = webbing | dict(materials)

@@ -51,7 +51,7 @@ def resolve_pins(spec: str | Path | Sequence[int] | np.ndarray, garment: Garment
 
 
 def highest_reaching(vertices: np.ndarray, loops: Sequence[np.ndarray]) -> np.ndarray:
-    """The border, vertices (n,) in order, whose highest vertex is above those of the others.
+    """Vertices (n,), in order, of the border with the highest vertex.
 
     Args:
         vertices: (vertices, 3) [m].

@@ -34,7 +34,7 @@ class Repaired(NamedTuple):
     Args:
         mesh: the garment.
         changes: a plain sentence for each change.
-        remarks: a plain sentence for each fault that was looked at and not mended.
+        remarks: a plain sentence for each fault that was not repaired.
     """
 
     mesh: PolygonMesh
@@ -50,7 +50,7 @@ def repair(source: PolygonMesh, body: ShapedBody | AnimatedBody | None = None) -
 
     Args:
         source: the garment.
-        body: the body that wears it; without a body only the mesh itself is mended.
+        body: the body that wears it; without a body only the mesh itself is repaired.
     """
     changes, remarks = list[str](), list[str]()
     if not len(SourceSurface.of(source).faces):
@@ -238,7 +238,7 @@ def push_out(vertices: np.ndarray, topology: Topology, body: RestBody) -> np.nda
     """Cloth moved to at least `CLEARANCE` outside a closed body, where the body's creases leave room for it.
 
     Vertices too near are projected out, the displacement is spread over the neighbouring cloth so that it does not
-    crease, and what this brings back in is projected again. Middles of edges are held outside too while this lasts.
+    crease, and what this brings back in is projected again. Middles of edges are kept outside too.
 
     Args:
         vertices: (vertices, 3) of the garment [m].

@@ -26,7 +26,7 @@ class Fault(NamedTuple):
         code: short fixed name.
         sentence: what and where.
         fix: how to mend it.
-        meanwhile: what is done about it when the mesh is simulated as it is.
+        meanwhile: how a simulation of the unrepaired mesh handles it.
         mendable: whether `repair` mends it.
         faces: indices of the author's polygons concerned.
         vertices: indices of the author's vertices concerned.
@@ -134,7 +134,7 @@ def _pieces(surface: SourceSurface, threads: np.ndarray) -> int:
 
 
 def is_double(surface: SourceSurface) -> bool:
-    """Whether so much of the cloth lies double that it is a shell or lined, not hemmed.
+    """Whether so much of the cloth is double that it is a shell or a lining, not a hem.
 
     Args:
         surface: the mesh.

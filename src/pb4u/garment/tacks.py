@@ -23,15 +23,15 @@ BUTTONS_APART = 0.3
 
 
 def tacked(garment: Garment, tacks: Sequence[tuple[int, int]]) -> Garment:
-    """The garment with vertices made one, halfway between them; its triangles keep their shapes at rest.
+    """The garment with pairs of vertices merged at their midpoints; its triangles keep their rest shapes.
 
     Args:
         garment: as simulated.
         tacks: pairs of vertices of the author's mesh, counted from 0.
 
     Raises:
-        InputError: a vertex that does not exist or is sewn to itself, two that are too far apart, or a seam that no
-            cloth can have.
+        InputError: a vertex that does not exist or is sewn to itself, two that are too far apart, or a seam that is not
+            possible in cloth.
     """
     if not len(tacks):
         return garment
@@ -66,7 +66,7 @@ def buttoned(garment: Garment, count: int | None) -> Garment:
     """The garment with its open front closed by buttons, each a tack at the nearest vertices.
 
     Args:
-        garment: as it is worn, with its pins and parts.
+        garment: as worn, with its pins and parts.
         count: number of buttons, from half a distance above the lower end of the front to as much below its upper one;
             None for none.
 
@@ -123,7 +123,8 @@ def _joined(garment: Garment, faces: np.ndarray, name: np.ndarray) -> Garment:
 
 
 def sewn(faces: np.ndarray, size: int, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Faces (faces, 3) int64 with vertices made one, and the new name (size,) of each; None where no cloth can be so.
+    """Faces (faces, 3) int64 with merged vertices, and the new index (size,) of each; None if this is not possible in
+    cloth.
 
     Args:
         faces: (faces, 3) int64.

@@ -29,7 +29,7 @@ class Appearance:
     Args:
         name: what its author called it.
         colour: red, green and blue, sRGB [0 to 1]; multiplies the image.
-        image: content of a PNG or JPEG file laid on by the UVs, v upward; or None.
+        image: content of a PNG or JPEG file mapped by the UVs, v upward; or None.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Appearances:
 
     Args:
         listed: each appearance once.
-        of_face: (faces,) int64 which of them each face, or polygon, has; -1 for none.
+        of_face: (faces,) int64 index of the appearance of each face, or polygon; -1 for none.
     """
 
     listed: tuple[Appearance, ...]
@@ -53,7 +53,7 @@ class Appearances:
         """Appearances of a selection of the faces.
 
         Args:
-            faces: (faces,) int64 the face that each takes its appearance from.
+            faces: (faces,) int64 the face from which each takes its appearance.
         """
         return replace(self, of_face=self.of_face[faces])
 
@@ -169,7 +169,7 @@ def _as_png(image: Image.Image) -> bytes:
 
 
 def read_mtl(path: Path) -> dict[str, Appearance]:
-    """The appearances of an MTL file by name: Kd, or map_Kd alone where there is one; warns of what cannot be read.
+    """The appearances of an MTL file by name: map_Kd if present, else Kd; warns of entries that cannot be read.
 
     Args:
         path: the file.

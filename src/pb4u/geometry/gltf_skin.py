@@ -41,13 +41,13 @@ def node_order(file: GltfFile) -> tuple[np.ndarray, tuple[int, ...]]:
 
 
 def node_transforms(file: GltfFile) -> np.ndarray:
-    """Transforms (nodes, 4, 4) of the nodes to the scene as they stand, lengths in the file's unit.
+    """Transforms (nodes, 4, 4) of the nodes to the scene in the file's pose, lengths in the file's unit.
 
     Args:
         file: a glTF file.
 
     Raises:
-        ValueError: a node has two parents or no finite place, or nodes hang on each other in a circle.
+        ValueError: a node has two parents or no finite position, or the hierarchy has a cycle.
     """
     parents, order = node_order(file)
     entries = file.entries("nodes")
@@ -96,7 +96,7 @@ def read_skins(file: GltfFile, used: set[int]) -> tuple[dict[int, list[int]], di
 
 
 def influences(file: GltfFile, attributes: dict[str, int], vertices: int, joints: int) -> tuple[np.ndarray, np.ndarray]:
-    """What moves the vertices of a primitive: places in the list of the skin's joints, and weights that sum to 1.
+    """Skinning of the vertices of a primitive: indices into the skin's joints, and weights that sum to 1.
 
     Args:
         file: a glTF file.
@@ -126,7 +126,8 @@ def placed(
 ) -> tuple[np.ndarray, bool]:
     """Vertices of a primitive where the scene has them, and whether it mirrors them.
 
-    A skin moves them by its joints alone, wherever the node of the mesh stands; without one they move with the node.
+    With a skin only its joints move them, whatever the transform of the mesh's node; without one they move with the
+    node.
 
     Args:
         file: a glTF file.
@@ -136,7 +137,7 @@ def placed(
         positions: (vertices, 3) as the primitive has them.
 
     Raises:
-        ValueError: the skin has no bind pose, or a vertex hangs on no joint of it.
+        ValueError: the skin has no bind pose, or a vertex is bound to none of its joints.
     """
     skin = file.entries("nodes")[node].get("skin")
     if skin is None or "JOINTS_0" not in attributes:

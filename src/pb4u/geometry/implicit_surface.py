@@ -105,7 +105,7 @@ class ImplicitSurface:
         return points
 
     def project_border(self, points: np.ndarray) -> np.ndarray:
-        """Points (n, 3) [m] moved by the shortest way on to the trimming curves, where both fields vanish.
+        """Points (n, 3) [m] projected to the nearest points of the trimming curves, where both fields vanish.
 
         Args:
             points: (n, 3) [m] near the border.

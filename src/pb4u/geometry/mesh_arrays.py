@@ -12,7 +12,7 @@ def as_numbers(owner: str, what: str, values: ArrayLike) -> np.ndarray:
     """Values as an array of numbers.
 
     Args:
-        owner: what they belong to, for the message.
+        owner: name of the object they belong to, for the message.
         what: name of the values, for the message.
         values: array, or lists of equal length.
 
@@ -32,7 +32,7 @@ def checked_vertices(owner: str, vertices: ArrayLike) -> np.ndarray:
     """Vertices (vertices, 3) float64 [m].
 
     Args:
-        owner: what they belong to, for the message.
+        owner: name of the object they belong to, for the message.
         vertices: array or lists of that shape.
 
     Raises:
@@ -52,7 +52,7 @@ def checked_faces(owner: str, faces: ArrayLike, count: int, what: str = "faces")
     """Faces (faces, 3) int64.
 
     Args:
-        owner: what they belong to, for the message.
+        owner: name of the object they belong to, for the message.
         faces: array or lists of that shape.
         count: number of points that they may name, from 0.
         what: name of the faces, for the message.
@@ -76,7 +76,7 @@ def checked_uvs(owner: str, uvs: ArrayLike, uv_faces: ArrayLike, faces: int) -> 
     """UV points (uv points, 2) and the corners of faces among them, (faces, 3) int64.
 
     Args:
-        owner: what they belong to, for the message.
+        owner: name of the object they belong to, for the message.
         uvs: array or lists of that shape.
         uv_faces: array or lists of that shape.
         faces: number of faces.
@@ -97,7 +97,7 @@ def checked_places(owner: str, what: str, places: ArrayLike, rows: int, count: i
     """Indices (rows,) int64 into a list.
 
     Args:
-        owner: what they belong to, for the message.
+        owner: name of the object they belong to, for the message.
         what: name of the indices, for the message.
         places: indices, an array or list of that shape.
         rows: number of indices.

@@ -60,11 +60,12 @@ class PolygonMesh:
 
 
 def named_pieces(names: Sequence[str], of_polygon: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
-    """The `pieces` and `piece_of_polygon` of a mesh; those of one name are one, and those of none are left out.
+    """The `pieces` and `piece_of_polygon` of a mesh; pieces of one name are merged, and names without polygons left
+    out.
 
     Args:
         names: of parts of the file.
-        of_polygon: (polygons,) int64 which of them each polygon belongs to.
+        of_polygon: (polygons,) int64 index of the name of each polygon.
     """
     pieces = tuple(dict.fromkeys(name for name in names if name))
     place = {name: number for number, name in enumerate(pieces)}
@@ -90,7 +91,7 @@ def read_mesh(path: Path, refuse_large: Callable[[int], None]) -> PolygonMesh:
 
 
 def read_stl(path: Path) -> PolygonMesh:
-    """The triangles of an STL file; corners in the same place are one vertex, as the format has no connectivity.
+    """The triangles of an STL file; coincident corners become one vertex, as the format has no connectivity.
 
     Args:
         path: the file.
@@ -163,7 +164,7 @@ def require_sound(path: Path, vertices: np.ndarray, corners: np.ndarray) -> None
         corners: (...) int64 the vertices that its faces name.
 
     Raises:
-        InputError: a vertex is not finite, or a face names one that is not there.
+        InputError: a vertex is not finite, or a face names one that does not exist.
     """
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(bad):
@@ -176,7 +177,7 @@ def require_sound(path: Path, vertices: np.ndarray, corners: np.ndarray) -> None
 
 
 def welded(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices in the same place as one, in the order in which they come first, and the faces of them.
+    """Coincident vertices merged, in the order of their first occurrence, and the faces with new indices.
 
     Args:
         vertices: (vertices, 3) [m].

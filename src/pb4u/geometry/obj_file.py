@@ -126,7 +126,7 @@ def left_out(path: Path, mesh: PolygonMesh) -> list[str]:
 
     Args:
         path: the file.
-        mesh: what was read of it.
+        mesh: the mesh read from it.
 
     Raises:
         OSError: the file cannot be read.
@@ -251,13 +251,13 @@ def _shown(text: bytes) -> str:
 
 
 def write_obj(path: Path, mesh: PolygonMesh, groups: Sequence[str] = (), seams: np.ndarray | None = None) -> None:
-    """Write a mesh in one step: the file appears whole or not at all.
+    """Write a mesh in one step: the file appears complete or not at all.
 
-    Its colours and images lie beside it, as NAME.pb4u.mtl and NAME.texture0.png.
+    Its colours and images are written beside it, as NAME.pb4u.mtl and NAME.texture0.png.
 
     Args:
         path: the file.
-        mesh: what is written, numbers to nine digits.
+        mesh: to write, numbers to nine digits.
         groups: group of each polygon, or none.
         seams: (edges, 2) int64 vertices of edges that are written as lines of the group `seams`.
 
@@ -296,7 +296,7 @@ def write_obj(path: Path, mesh: PolygonMesh, groups: Sequence[str] = (), seams: 
 
 
 def group_name(name: str) -> str:
-    """A name as OBJ groups have them: a space would begin another group, and the format states no encoding.
+    """A valid name of an OBJ group: a space would begin another group, and the format states no encoding.
 
     Args:
         name: any text.
