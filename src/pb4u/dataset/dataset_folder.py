@@ -37,7 +37,7 @@ class Place(NamedTuple):
 
 
 class DatasetFolder(JobFolder):
-    """The files of one dataset; while open, it is this process's alone.
+    """The files of one dataset; while open, no other process may use the folder.
 
     Args:
         path: the folder, created if absent.

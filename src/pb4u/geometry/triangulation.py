@@ -13,7 +13,7 @@ _FLAT = 1e-6
 def triangulate(vertices: np.ndarray, polygons: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Triangles of polygons, in the polygons' order and orientation.
 
-    A quad is cut along its shorter diagonal, or the one within it; an n-gon by clipping ears in its mean plane.
+    A quad is divided along its shorter diagonal that is inside it; an n-gon by ear clipping in its mean plane.
 
     Args:
         vertices: (vertices, 3) [m].

@@ -36,7 +36,7 @@ _PACKED = {
 
 @dataclass(frozen=True, eq=False)
 class GltfFile:
-    """A document and the buffers that its arrays lie in.
+    """A document and the buffers that contain its arrays.
 
     Args:
         path: the file.
@@ -125,7 +125,7 @@ class GltfFile:
 
 
 def read_gltf(path: Path) -> GltfFile:
-    """A glTF file, its buffers read but no array taken from them.
+    """A glTF file with its buffers, but without decoding arrays.
 
     Args:
         path: the .glb, .vrm or .gltf.
@@ -157,10 +157,10 @@ class GltfDocument:
     """A glTF file that is written: its JSON, and its arrays as they go to a binary file.
 
     Args:
-        file: takes the arrays, a multiple of 4 bytes each.
+        file: to write the arrays to, each a multiple of 4 bytes.
 
     Attributes:
-        file: takes the arrays.
+        file: to write the arrays to.
         json: the JSON, with one scene.
     """
 
@@ -190,7 +190,7 @@ class GltfDocument:
             values: (count, ...) little-endian, of the component type.
             kind: "SCALAR", "VEC2" and so on.
             component: type of its components.
-            target: its use; None where it is neither by vertex nor indices.
+            target: its use; None if it has neither vertex attributes nor indices.
             more: further entries of the accessor.
         """
         view = self.add_view(values.tobytes(), **({} if target is None else {"target": target}))
@@ -203,7 +203,7 @@ class GltfDocument:
 
         Args:
             values: (vertices, components) float.
-            bounded: whether their bounds are told.
+            bounded: whether their bounds are written.
         """
         values = np.asarray(values, dtype="<f4")
         bounds = {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()} if bounded else {}

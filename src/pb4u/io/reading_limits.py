@@ -84,7 +84,7 @@ def names_text(names: Iterable[object], like: Sequence[str] = ()) -> str:
 
     Args:
         names: any number of names.
-        like: parts of names that come first, since they may be what was looked for.
+        like: parts of names to list first, since they are likely matches.
     """
     texts = (str(name)[:40] for name in names)
     ordered = sorted(texts, key=lambda text: (not any(part in text for part in like), text))
@@ -104,14 +104,14 @@ def error_text(error: BaseException) -> str:
 
 @contextmanager
 def refusing(path: Path, sentence: str) -> Iterator[None]:
-    """Whatever stops the reading of a file as one InputError: a damaged one can raise nearly anything.
+    """Turn any error while reading a file into one InputError: a damaged file can raise nearly anything.
 
     Args:
         path: the file.
-        sentence: what is wrong with it, as a predicate of its name; what was raised follows in brackets.
+        sentence: what is wrong with it, as a predicate after its name; the original error follows in brackets.
 
     Raises:
-        InputError: in the place of what was raised.
+        InputError: instead of the original error.
     """
     try:
         yield

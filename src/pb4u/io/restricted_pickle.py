@@ -64,7 +64,7 @@ def load_tensors(path: str | Path) -> Any:
     """Tensors, numbers, text and collections of them in a file of `torch.save`, by `torch.load(weights_only=True)`.
 
     Args:
-        path: the file. Tensors are mapped: what is not looked at is not read.
+        path: the file. Tensors are memory-mapped: only those used are read.
 
     Raises:
         InputError: the file is not a complete archive of torch 1.6 or later, or names anything else.

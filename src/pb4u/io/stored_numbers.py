@@ -31,7 +31,8 @@ _RATE_ROUNDING = 2e-4
 
 
 def unrounded_rate(fps: float) -> float:
-    """The whole number of frames per second that a stored rate, or time of a frame, was rounded from; else itself.
+    """The whole number of frames per second from which a stored rate, or time of a frame, was rounded; else the rate
+    itself.
 
     Args:
         fps: as stored [1/s].
@@ -99,7 +100,7 @@ def require_layout(
     """Refuse arrays of a file whose kinds and shapes do not fit together.
 
     Args:
-        members: arrays (...) by name, in the units of their file; those that are absent are not looked at.
+        members: arrays (...) by name, in the units of their file; absent ones are ignored.
         layout: kinds and shapes that they should have.
         refuse: gives the error for a sentence on what does not fit.
 
@@ -138,7 +139,7 @@ def require_places(
     """Refuse indices in a file that are out of range.
 
     Args:
-        members: arrays (...) by name, in the units of their file; those that are absent are not looked at.
+        members: arrays (...) by name, in the units of their file; absent ones are ignored.
         points_at: member of indices -> the count that they stay below.
         counts: as `require_layout` gives them.
         refuse: gives the error for a sentence on what does not fit.

@@ -19,7 +19,7 @@ def read_tables(path: Path, kind: str) -> dict[str, Any]:
 
     Args:
         path: the file.
-        kind: what it is, such as "a scene file".
+        kind: its kind, such as "a scene file".
 
     Raises:
         InputError: it is not TOML.

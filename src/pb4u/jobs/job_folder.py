@@ -40,12 +40,12 @@ _Folder = TypeVar("_Folder", bound="JobFolder")
 
 
 class JobFolder:
-    """The files of one run; while open, it is this process's alone.
+    """The files of one run; while open, no other process may use the folder.
 
     Args:
         path: the folder, created if absent.
         kind: what such a folder is of, such as "an evaluation".
-        settings: what a run that goes on with it shares, by name of its flag; a result is no other's for it.
+        settings: values that a continued run must share, by the name of their flag.
 
     Raises:
         InputError: it holds something else, a run of other settings or of another version, or is in use.
@@ -99,7 +99,7 @@ class JobFolder:
 
         Args:
             jobs: every job of it.
-            more: what else to keep, as JSON.
+            more: further entries, as JSON.
         """
         manifest = {
             "version": FOLDER_VERSION,
@@ -123,8 +123,8 @@ class JobFolder:
         """Store the outcome of a job.
 
         Args:
-            job: the job asked for.
-            outcome: what it made, or why it made nothing.
+            job: the finished job.
+            outcome: its result, or its failure.
 
         Raises:
             Pb4uError: the disk refuses.
@@ -183,7 +183,7 @@ class JobFolder:
         return result if is_sound else None
 
     def failure(self, job: Job) -> Failure | None:
-        """Reason why a job has no result; None where it was not tried, or came off.
+        """Reason why a job failed; None if it was not tried, or succeeded.
 
         Args:
             job: the job.
@@ -205,14 +205,14 @@ class JobFolder:
     def still_to_do(
         self, jobs: Sequence[Job], noun: str, retry: bool, say: Callable[[str], None], *, plan_only: bool = False
     ) -> list[Any]:
-        """The jobs without a result, those left out that failed before.
+        """The jobs without a result, except those that failed before.
 
         Args:
             jobs: every job of the run.
             noun: what the jobs are called, in the plural.
-            retry: take those that failed before as well.
-            say: takes a sentence on how many are done, failed and to do.
-            plan_only: whether they are only counted, and what is known of failures stays.
+            retry: include jobs that failed before.
+            say: called with a sentence on how many are done, failed and to do.
+            plan_only: only count the jobs, and keep the records of failures.
         """
         undone = [job for job in jobs if self.result(job) is None]
         failed = {job.key for job in undone if self.failure(job)}
@@ -228,7 +228,8 @@ class JobFolder:
         return missing
 
     def work_through(self, jobs: Sequence[Job], pool: WorkerPool, progress: Progress) -> None:
-        """Do all jobs. What ends is kept at once; a job whose worker died is given to another, those of a pack singly.
+        """Do all jobs. Each result is written at once; a job whose worker died is given to another worker, jobs of a
+        pack one by one.
 
         Args:
             jobs: or packs of them, in the order to start them.
@@ -274,15 +275,15 @@ class JobFolder:
 
         Args:
             jobs: every job of the run.
-            missing: what `still_to_do` gives, or packs of it, in the order to start them.
+            missing: result of `still_to_do`, or packs of these jobs, in the order to start them.
             noun: what the jobs are called, in the plural.
             pool: makes the workers; called only where there are jobs.
             progress: opens a display for a label.
-            finish: what else to do then.
-            title: what the label of the display begins with.
+            finish: called at the end.
+            title: beginning of the label of the display.
 
         Raises:
-            Pb4uError: the user ended it, or what came of a job cannot be kept.
+            Pb4uError: the user ended it, or a result cannot be written.
         """
         label = f"{title}{sum(len(jobs_of(job)) for job in missing)} {noun}"
         try:
@@ -312,7 +313,7 @@ def quiet(label: str) -> AbstractContextManager[Progress]:
     """No progress bar.
 
     Args:
-        label: what a bar would be called.
+        label: label of a progress bar.
     """
     return nullcontext(no_progress)
 

@@ -33,14 +33,14 @@ class WorkerPool(ABC):
     """Takes jobs and gives their outcomes, in any order.
 
     Attributes:
-        size: how many jobs it takes at once.
+        size: number of jobs at a time.
     """
 
     size: int
 
     @abstractmethod
     def submit(self, job: Job) -> None:
-        """Start a job. Called with at most `size` jobs under way.
+        """Start a job. Called while fewer than `size` jobs are running.
 
         Args:
             job: the job.
@@ -60,7 +60,7 @@ class LocalPool(WorkerPool):
 
     Args:
         workers: how many.
-        attempt: what they do with a job; importable. What it raises ends its worker.
+        attempt: importable function that does a job. An exception in it ends its worker.
 
     Raises:
         InputError: `workers` is not a positive number.
@@ -150,7 +150,7 @@ class RayPool(WorkerPool):
 
     Args:
         address: of the cluster, "auto" for the one of this machine, or "local" to start one for this run.
-        attempt: what they do with a job; importable on every machine.
+        attempt: function that does a job, importable on every machine.
         workers: cores of a cluster started here.
 
     Raises:

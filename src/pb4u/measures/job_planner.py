@@ -30,9 +30,9 @@ class Model(NamedTuple):
     Args:
         name: its name or file.
         device: where it computes: "cpu" or "cuda".
-        weights: SHA-256 of a network's weights; None for what has none.
+        weights: SHA-256 of a network's weights; None for a model without weights.
         adapts: whether it has a number of propagation steps that can be set.
-        fps: frame rate that it has to run at [1/s]; None where it takes any.
+        fps: frame rate at which it must run [1/s]; None for any.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Model(NamedTuple):
 
 
 class JobPlanner:
-    """Makes jobs of runs; what many of them share, such as the content of a file, is looked at once."""
+    """Makes jobs from runs; shared inputs, such as the content of a file, are read once."""
 
     def __init__(self) -> None:
         self._contents: dict[str, tuple[tuple[str, str, str], ...]] = {}
@@ -57,9 +57,9 @@ class JobPlanner:
         """Job of a run.
 
         Args:
-            run: what is simulated.
+            run: to simulate.
             label: what tables call its model.
-            keep: what is kept of the trajectory.
+            keep: part of the trajectory to keep.
             excess: measure excess heights too.
 
         Raises:
@@ -79,7 +79,7 @@ class JobPlanner:
         """Model of a run.
 
         Args:
-            run: whose scene is not looked at.
+            run: its scene is ignored.
 
         Raises:
             InputError: there is none, or it cannot be had so.

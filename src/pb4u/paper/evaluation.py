@@ -29,7 +29,7 @@ def evaluate(
         request: what to run.
         out: folder of the run, created if absent.
         pool: makes the workers; called only where rollouts are missing.
-        retry: try those again that failed before.
+        retry: try failed rollouts again.
         say: called with sentences on the progress.
         progress: opens a display for a label; none by default.
 
