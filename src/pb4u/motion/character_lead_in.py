@@ -18,8 +18,8 @@ from pb4u.motion.lead_in import run_up
 def character_lead_in(character: Character, poses: NodePoses, fps: float, frames: int) -> NodePoses:
     """Poses with more frames before them, that lead from the bind pose to the first one.
 
-    As `lead_in` does it for bodies: the bind pose stands where and as the first frame stands and faces, bones are
-    interpolated by slerp, and the whole is moved up or down to where its lowest point belongs.
+    As `lead_in` does it for bodies: the bind pose has the position and heading of the first frame, bones are
+    interpolated by slerp, and the whole body is shifted vertically so that its lowest point is at the right height.
 
     Args:
         character: the character that performs them.

@@ -27,7 +27,7 @@ _FASTEST_DRIFT, _DRIFT_TIME = 0.015, 1.0
 
 @dataclass(frozen=True)
 class Stance:
-    """A time in which the ball of a foot stands.
+    """A time span in which the ball of a foot stands still.
 
     Args:
         first: first frame.
@@ -71,8 +71,8 @@ def stances(recording: Recording) -> list[Stance]:
 def on_level_ground(recording: Recording) -> Recording:
     """The recording on a level floor: turned upright where its floor slopes, and shifted in height where that drifts.
 
-    Both are taken from the stances alone and only where a floor explains them: flight stays flight, and stairs, ramps,
-    objects that are stepped on, and a body that lies stay as they are. `Recording.notes` reports what is done.
+    Both are computed from the stances alone, and only if a floor explains them: jumps, stairs, ramps, objects that are
+    stepped on, and lying bodies are unchanged. `Recording.notes` reports what is done.
 
     Args:
         recording: Y up.

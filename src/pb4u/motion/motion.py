@@ -19,7 +19,7 @@ class Performed(NamedTuple):
 
     Args:
         poses: its poses.
-        notes: plain sentences on what this body does otherwise than the motion says (may be empty).
+        notes: plain sentences on differences between the performance and the motion (may be empty).
     """
 
     poses: PoseSequence
@@ -33,7 +33,7 @@ class Motion(ABC):
         name: what the user called it.
         duration: length [s]; None for a procedural clip, which has no end.
         notes: plain sentences on what was repaired or ignored while reading (may be empty).
-        arms_away_degrees: hanging arms are swung outward by so much, which keeps them clear of loose garments. None: as
+        arms_away_degrees: angle by which hanging arms are swung outward, to keep them clear of loose garments. None: as
             the motion has them; arms of a recording by as much as they would go into the body.
     """
 
@@ -57,7 +57,7 @@ class Motion(ABC):
         return self.perform(body, fps, frames, start).poses
 
     def perform(self, body: ShapedBody, fps: float, frames: int, start: int = 0) -> Performed:
-        """What a body does.
+        """The performance of a body.
 
         Args:
             body: who performs.
@@ -83,7 +83,7 @@ class Motion(ABC):
         return performed._replace(poses=swung)
 
     def arm_clearance(self, body: ShapedBody) -> ArmClearance | None:
-        """Where the arms of a body may be that are swung out of it; None where they stay as the motion has them.
+        """Allowed positions of arms that are swung out of the body; None if arms follow the motion.
 
         Args:
             body: who performs.
@@ -104,7 +104,7 @@ class Motion(ABC):
 
 
 class MotionAsRecorded(Motion):
-    """A recording that is played as it is, by a body of the recorded shape, with a lead-in of its own."""
+    """A recording played unchanged, by a body of the recorded shape, with a lead-in of its own."""
 
     @property
     @abstractmethod

@@ -60,7 +60,8 @@ class Recording:
         return replace(self, poses=poses)
 
     def sampled(self, times: np.ndarray) -> PoseSequence:
-        """Poses at `times` (frames,) [s], within the recording, through its own; no velocity jumps.
+        """Poses at `times` (frames,) [s] within the recording, interpolated through its frames with continuous
+        velocities.
 
         Args:
             times: (frames,) [s].
@@ -173,7 +174,7 @@ def require_rate(fps: float, path: Path) -> None:
 
     Args:
         fps: frames per second.
-        path: the file that tells it, for the message.
+        path: the file that contains it, for the message.
 
     Raises:
         InputError: it is out of range.
@@ -196,7 +197,7 @@ def finite_frames(values: np.ndarray, path: Path) -> np.ndarray:
         (frames, numbers), the argument itself.
 
     Raises:
-        InputError: a value is a NaN or an infinity, or too large to be an angle or a place; names its frame.
+        InputError: a value is NaN or infinite, or too large for an angle or a position; names its frame.
     """
     bad = ~(np.abs(values) <= _LARGEST).all(axis=1)
     if bad.any():

@@ -100,7 +100,7 @@ def with_leap_notes(recording: Recording) -> Recording:
 
 
 def without_gaps(recording: Recording, numbers: np.ndarray) -> Recording:
-    """The recording with frames that its file leaves out between their neighbours, by slerp; its notes report it.
+    """The recording with missing frames interpolated between their neighbours, by slerp; its notes report it.
 
     Args:
         recording: the frames that there are.

@@ -28,7 +28,7 @@ _WITHIN = 0.85
 
 
 def standing_at_rest(recording: Recording, path: Path) -> Recording:
-    """The same performance in a world with Y up, relative to a rest pose that stands upright facing +Z.
+    """The same performance in a world with Y up, relative to an upright rest pose facing +Z.
 
     Args:
         recording: joints at rest and rotations from there, in the axes of its file.

@@ -37,7 +37,7 @@ _LEAST_TOLD = 1.0
 class Retargeting:
     """Puts one recording on one body: rotations by role, hips matched, travel scaled by leg length, feet on the floor.
 
-    A recording of the body's own family keeps its rotations and its travel as they are. Either way the performance
+    A recording of the body's own family keeps its rotations and its travel unchanged. Either way the performance
     starts above the origin and faces +Z in its first frame.
 
     Args:

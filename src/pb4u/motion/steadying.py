@@ -29,7 +29,7 @@ _FARTHEST, _STRAIGHT = 0.12, 0.9995
 
 
 def steadied(recording: Recording) -> Recording:
-    """The recording without what is faster than `CUTOFF`, and without the travel that feet make while they stand.
+    """The recording without frequencies above `CUTOFF`, and without the sliding of standing feet.
 
     `Recording.notes` reports what was done.
 

@@ -38,14 +38,14 @@ _STANDS, _UPRIGHT_CAMERA = 0.8, np.sqrt(0.5)
 def read_tram(path: Path) -> Recording:
     """The motion of one person in the world of a camera that moves, an SMPL recording.
 
-    Where the camera's own file tells no gravity, up is where the person stands up to.
+    If the camera's file has no gravity, up is the direction in which the person stands.
 
     Args:
         path: the .npy, with `pred_rotmat` (frames, 24, 3, 3), `pred_trans` (frames, 1, 3), `pred_shape` and `frame`;
-            `camera.npy` lies beside it or one folder up.
+            `camera.npy` must be beside it or one folder up.
 
     Raises:
-        InputError: a file or a part of it is missing or does not fit, or asks for code.
+        InputError: a file or a part of it is missing or does not fit, or would run code.
     """
     person = _dictionary(path, ("pred_rotmat", "pred_trans", "frame"))
     beside = [folder / "camera.npy" for folder in (path.parent, path.absolute().parent.parent)]

@@ -34,8 +34,8 @@ def wham_recording(path: Path, content: Mapping[Any, Any], person: str | None) -
 
     Args:
         path: the file, for messages.
-        content: what it holds: `pose_world` (frames, 72), `trans_world` (frames, 3), `betas` and `frame_ids` of each.
-        person: which one; may be left out where there is one.
+        content: its entries: `pose_world` (frames, 72), `trans_world` (frames, 3), `betas` and `frame_ids` of each.
+        person: key of the person; optional if there is only one.
 
     Raises:
         InputError: it is of nobody, has no such person or several of whom none is chosen, or a part does not fit.

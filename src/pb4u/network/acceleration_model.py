@@ -54,9 +54,9 @@ class Derived:
     """Data that a method derives once from the garments of a pack, beyond their meshes; none by default.
 
     Args:
-        edges: undirected edges (edges, 2) int64 vertex indices within one garment, by kind, such as "coarse"; they
-            carry the columns of mesh edges and share their normaliser.
-        finder: finds edges at every step; they carry the layout's `found_edge` columns.
+        edges: undirected edges (edges, 2) int64 vertex indices within one garment, by kind, such as "coarse"; they have
+            the columns of mesh edges and share their normaliser.
+        finder: finds edges at every step, with the layout's `found_edge` columns.
         rest: tensors handed on in `Graph.rest`, by name.
         losses: losses that training minimises besides the incremental potential.
     """
@@ -75,17 +75,18 @@ class NetworkConfiguration(ABC):
         width: number of columns of all latents and hidden layers.
         layout: the columns read.
         world_edges: rule for the body vertices that a garment vertex has edges to.
-        pins: rule for what is seen of pinned vertices.
-        passes: evaluations of the network in one time step, each adding to the accelerations of the one before; 1 in
+        pins: rule for the positions and velocities of pinned vertices that the network gets.
+        passes: evaluations of the network in one time step, each adding to the accelerations of the previous one; 1 in
             the paper. Above 1 the layout should name "descent" and "advance".
         warm_start_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
-            flight, is taken; none in the paper. With any the layout should name the same two.
-        conjugate: join each pass with the move of the one before, at the lengths of least potential; not in the paper.
+            flight, is used; none in the paper. With any the layout should name the same two.
+        conjugate: combine each pass with the move of the previous one, with the step lengths of least potential; not in
+            the paper.
         descent_size: RMS to which each garment's gradient feature is normalised, in edge lengths; accelerations are
-            scaled back, so that a pass is as good near the minimum as far from it. 0 shows it as it is, and the paper
-            shows none.
-        further_passes: most evaluations beyond `passes`, each made where the pass before lowered the energy much; for
-            networks that are `conjugate`.
+            scaled back, so that a pass is as good near the minimum as far from it. 0 does not normalise it; the paper
+            has no such feature.
+        further_passes: largest number of evaluations beyond `passes`, each made only if the previous pass lowered the
+            energy enough; for `conjugate` networks.
 
     Raises:
         InputError: less than 1 pass, further passes of a network that is not conjugate, a width below 1, a count below
@@ -127,7 +128,7 @@ class NetworkConfiguration(ABC):
 
 
 class GraphNetwork(nn.Module, ABC):
-    """A network on normalised features; a baseline differs from ours in this and in nothing else.
+    """A network on normalised features; baselines differ from ours only in this class.
 
     Args:
         configuration: the columns read, the world edges and the number of passes in a step.
@@ -187,7 +188,7 @@ class PreparedGarments:
         steps: propagation steps of each garment.
         scale: factors on the accelerations, or None for 1.
         losses: losses that the method minimises in training besides the incremental potential.
-        descent_size: RMS to which gradient features are normalised, in edge lengths; 0 leaves them as they are.
+        descent_size: RMS to which gradient features are normalised, in edge lengths; 0 does not normalise them.
     """
 
     builder: GraphBuilder
@@ -287,8 +288,8 @@ class AccelerationModel(nn.Module):
         """Copy that computes the same without gradients.
 
         Perceptrons over several parts, nine tenths of the products, hold their weights, and so multiply, in
-        `precision`. Encoders, decoder, latents, norms, sums over nodes and accelerations keep float32: features rounded
-        to bfloat16 alone made three quarters of the error.
+        `precision`. Encoders, decoder, latents, norms, sums over nodes and accelerations keep float32: rounding the
+        features alone to bfloat16 caused three quarters of the error.
 
         Args:
             precision: of the products, such as `torch.bfloat16`.

@@ -50,11 +50,11 @@ class Ends:
 
 
 def are_compiled(values: Tensor, weight: Tensor, *receivers: Incidence) -> bool:
-    """Whether these layers take `values`: a processor computes in float32 or float64.
+    """Whether these layers can process `values`: on a processor, in float32 or float64.
 
     Args:
         values: (rows, columns) that enter.
-        weight: of the layers that they meet, of any shape.
+        weight: of the layers to be applied, of any shape.
         receivers: of the edges that they pass over; the kernels have no row for edges that are only room.
     """
     return (
@@ -89,13 +89,13 @@ def passed_edges(
     layers: Layers,
     ends: Ends,
 ) -> tuple[Tensor, Tensor]:
-    """New latents (edges, width) of edges, and sums (receivers, width) of what was added to them, all [1].
+    """New latents (edges, width) of edges, and sums (receivers, width) of their changes, all [1].
 
     Args:
         latents: (edges, width) [1] before.
         from_senders: (nodes, width) [1] shares of senders in the first layer's sum.
         from_receivers: (receivers, width) [1] shares of receivers.
-        weight: (width, width) [1] columns of the first layer that meet the latents.
+        weight: (width, width) [1] columns of the first layer for the latents.
         bias: (width,) [1] of that layer.
         layers: the second, the last and the norm.
         ends: of the edges.
@@ -120,7 +120,7 @@ def propagated(
         steps: how many.
         state: (vertices, width) [1] before.
         constants: (edges, width) [1] for each set of edges, the part of the first layer's sum that stays the same.
-        weights: (width, width) [1] each, columns of the first layer that meet senders and receivers.
+        weights: (width, width) [1] each, columns of the first layer for senders and receivers.
         layers: the second and the last of a message, and the norm of a step.
         decay: gamma.
         inflows: ends of each set of edges.

@@ -27,7 +27,7 @@ class EncodeProcessDecode(GraphNetwork):
         configuration: width, layout and world edges.
         mesh_kinds: kinds of edges with the columns of mesh edges.
         found_kinds: kinds with the columns of edges found at every step.
-        levels: number of labels of a vertex's coarsest level, or 0 where nodes carry none.
+        levels: number of labels of a vertex's coarsest level, or 0 if nodes have none.
     """
 
     decoder: MLP

@@ -33,7 +33,7 @@ class Incidence:
         return self.offsets.shape[0] - 1 - self.spare
 
     def restrict(self, edges: Sequence[Span], nodes: Sequence[Span]) -> Incidence:
-        """Incidence of the given spans alone, renumbered.
+        """Incidence of only the given index ranges, renumbered.
 
         Args:
             edges: spans of edges, each touching exactly the span of nodes beside it.
