@@ -34,7 +34,7 @@ def evaluate(
         progress: opens a display for a label; none by default.
 
     Returns:
-        The content of results.json. `failures` in it lists the rollouts that could not be made.
+        The content of results.json. `failures` in it lists the rollouts that failed.
 
     Raises:
         InputError: something is unknown or unusable; before any work.

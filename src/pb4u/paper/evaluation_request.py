@@ -11,11 +11,11 @@ from pb4u.options import Flag, require_fitting
 
 @dataclass(frozen=True)
 class EvaluationRequest:
-    """What is evaluated; None keeps the protocol's own choice.
+    """Options of an evaluation; None keeps the protocol's own choice.
 
     Args:
         protocol: resolution, unseen (garments), depth (propagation steps), efficiency (time and loss), ablation,
-            controls (what the network is worth), or robustness (drawn scenes).
+            controls (the network's contribution), or robustness (random scenes).
         models: solver, quick-solver, skinning, networks by name or .safetensors files. Default: the protocol's.
         garments: Built-in garments or mesh files. Default: the protocol's.
         motions: Built-in motions (walk, walk-7 with a seed), CMU trials (07_02) or files. Default: the protocol's.

@@ -61,15 +61,15 @@ _TRIAL = re.compile(r"\d+_\d+")
 
 @dataclass(frozen=True)
 class Case:
-    """A job in its place in the tables.
+    """A job with its position in the tables.
 
     Args:
         level: name of the resolution.
         motion: what the motion is called.
         seed: of a built-in motion; None for a recording.
         job: the rollout.
-        floor: what the ratio is taken to: a rollout of the solver, the stored mean energies, or None.
-        number: of the scene, where scenes are drawn.
+        floor: reference of the ratio: a rollout of the solver, the stored mean energies, or None.
+        number: of the scene, if scenes are drawn at random.
     """
 
     level: str
@@ -87,13 +87,13 @@ class Case:
 
 @dataclass(frozen=True)
 class Plan:
-    """The rollouts of a run, and the cases that its tables are made of.
+    """The rollouts of a run, and the cases in its tables.
 
     Args:
-        protocol: narrowed to what was asked for.
-        cases: everything the tables are made of.
+        protocol: restricted to the request.
+        cases: all entries of the tables.
         jobs: the rollouts to make, each once, in the order to make them; the solver's for the floors among them.
-        absent: a sentence on each thing left out.
+        absent: a sentence on each omitted part.
     """
 
     protocol: Protocol
@@ -114,7 +114,7 @@ def plan(request: EvaluationRequest) -> Plan:
     """The rollouts of a request.
 
     Args:
-        request: what was asked for.
+        request: options of the evaluation.
 
     Raises:
         InputError: something is unknown, unusable or empty.

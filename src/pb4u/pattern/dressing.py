@@ -128,11 +128,11 @@ def passed_on(
     """A dressed garment in another cloth, or with another number of triangles: its panels are meshed again.
 
     Args:
-        mesh: what it was dressed with.
-        places: (vertices, 3) of it on the body [m].
+        mesh: the mesh with which it was dressed.
+        places: (vertices, 3) its positions on the body [m].
         body: the same body.
         material: the cloth.
-        triangles: wanted number; None for the mesh as it is.
+        triangles: wanted number; None for the same mesh.
 
     Raises:
         InputError: so few triangles cannot mesh it.

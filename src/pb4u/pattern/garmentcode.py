@@ -45,7 +45,7 @@ def pattern_of(record: dict[str, Any], name: str) -> Pattern:
 
     Args:
         record: data of the JSON file.
-        name: of the garment, which refusals begin with.
+        name: of the garment, for error messages.
 
     Raises:
         InputError: it is not a pattern, or one that cannot be sewn.

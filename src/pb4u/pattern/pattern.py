@@ -35,7 +35,7 @@ _SMALLEST, _LARGEST = 0.05, 10.0
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """How an edge leaves the straight line between its corners: a Bezier curve, or a circular arc.
+    """Shape of an edge that is not straight: a Bezier curve, or a circular arc.
 
     Args:
         controls: (1 or 2, 2) Bezier control points in the panel's plane [m]; none for an arc.
@@ -88,9 +88,9 @@ class Panel:
         corners: (corners, 2) in its own plane, y along the grain [m].
         position: (3,) where its origin is placed around the resting body, feet on y = 0, facing +Z [m].
         rotation: (3, 3) from its plane's axes, and their normal, to the world's.
-        curves: edge -> how it is curved; edges left out are straight.
-        label: what it covers, such as "body", "arm" or "leg".
-        edge_labels: edge -> what it is, such as "collar".
+        curves: edge -> its curve; other edges are straight.
+        label: the part that it covers, such as "body", "arm" or "leg".
+        edge_labels: edge -> its label, such as "collar".
 
     Raises:
         InputError: numbers that are not finite, fewer than 3 corners, an edge without length, edges that cross.
@@ -153,7 +153,7 @@ class Panel:
         return points
 
     def placed(self, points: np.ndarray) -> np.ndarray:
-        """Places (n, 3) [m] around the body of `points` (n, 2) [m] of the panel.
+        """Positions (n, 3) [m] around the body of `points` (n, 2) [m] of the panel.
 
         Args:
             points: (n, 2) [m].
@@ -246,8 +246,8 @@ class Seam:
     Args:
         first: panel and edge.
         second: panel and edge.
-        same_way: whether the starts of the two edges meet; by default the start of each meets the end of the other,
-            as where both panels show their outside.
+        same_way: whether the starts of the two edges meet; by default the start of each meets the end of the other, as
+            for two panels with their outsides up.
     """
 
     first: tuple[str, int]
@@ -265,8 +265,8 @@ class Pattern:
         seams: the seams; an edge is sewn once, or left open.
 
     Raises:
-        InputError: names that repeat, seams between edges that are not there, sewn twice or of lengths that cannot
-            meet, panels that no seam joins to the others, or a size that no garment has.
+        InputError: repeated names, seams of edges that do not exist, are sewn twice or differ too much in length,
+            panels without a seam to the others, or an impossible size.
     """
 
     name: str

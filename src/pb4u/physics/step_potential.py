@@ -319,7 +319,7 @@ class StepPotential:
         """Parts of the model of a Newton step that can be relinearised, as in `EnergyTerm.tangents`.
 
         Args:
-            x: (vertices, 3) [m] where the step begins.
+            x: (vertices, 3) [m] at the start of the step.
             pattern: of the `elements`.
         """
         contacts = self._contacts_at(x)

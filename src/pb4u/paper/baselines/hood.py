@@ -50,11 +50,12 @@ class HoodConfiguration(NetworkConfiguration):
     """Configuration of a HOOD; fields that are not listed are as in `NetworkConfiguration`.
 
     Args:
-        repeats: blocks of each of the five stages, one number for all or one each; 3 in the paper, 15 blocks together.
+        repeats: blocks of each of the five stages, one number for all or one for each; 3 in the paper, 15 blocks in
+            total.
         choice: rule for the coarse levels.
         labelled: number of levels, from the finest, that vertices are labelled by; 3 in HOOD's code, None for the two
             that are used.
-        layout: the columns read; coarse edges have those of mesh edges.
+        layout: the feature columns; coarse edges have those of mesh edges.
 
     Raises:
         InputError: a stage without a block, or a number of labelled levels that is not from 1 to 12.
@@ -83,7 +84,7 @@ class HoodConfiguration(NetworkConfiguration):
 
 
 class Hood(EncodeProcessDecode):
-    """Network of blocks over one or two levels at a time; every vertex keeps one latent, whatever the level.
+    """Network of blocks over one or two levels at a time; every vertex has one latent for all levels.
 
     Args:
         configuration: width, columns, levels and blocks.
