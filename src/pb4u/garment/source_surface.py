@@ -32,7 +32,7 @@ class SourceSurface:
 
     Args:
         source: the author's mesh.
-        corners: (triangles, 3) int64 into the polygon corners laid end to end.
+        corners: (triangles, 3) int64 into the concatenated polygon corners.
         polygon: (triangles,) int64 the polygon of each triangle.
     """
 

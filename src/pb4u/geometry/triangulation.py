@@ -20,7 +20,7 @@ def triangulate(vertices: np.ndarray, polygons: Sequence[np.ndarray]) -> tuple[n
         polygons: (corners,) int64 vertex indices of each polygon, 3 or more.
 
     Returns:
-        corners: (triangles, 3) int64 into the polygons' corners laid end to end.
+        corners: (triangles, 3) int64 into the concatenated polygon corners.
         polygon: (triangles,) int64 the polygon that each triangle was cut from.
     """
     sizes = np.array([len(p) for p in polygons], dtype=np.int64)

@@ -57,24 +57,23 @@ def make_scene(
 ) -> Scene:
     """Garments on a moving body, ready to simulate.
 
-    Names, paths and loaded objects are taken alike.
+    Names, paths and loaded objects are all accepted.
 
     Args:
         garment: built-in name, mesh file, Garment fitted to this body at rest, or WornGarment; of several, a list,
             inner first.
         body: built-in name, model or sequence file, or a body already loaded; None for no body.
-        motion: built-in name, file or Motion; default "walk". A body that is a sequence of vertices brings its own.
+        motion: built-in name, file or Motion; default "walk". A body that is a sequence of vertices has its own motion.
         options: fields of `Run` on the scene by name, such as body_shape, frames, lead_in, crop, fps, arms_away, seed,
-            environment; and triangles, material and pins of the garments, one for all or a list with one each, which
-            hold where a WornGarment leaves them open.
+            environment; and triangles, material and pins of the garments, one for all or a list with one each, used
+            where a WornGarment does not set them.
 
     Raises:
-        InputError: anything cannot be used, or what is given with a loaded object conflicts with it.
+        InputError: an input cannot be used, or an option conflicts with a loaded object.
 
     Warns:
-        InputWarning: the body does not perform the motion or does not stand on the ground, nothing holds a garment up
-            that comes from a file and is given without pins, or skin may show through a garment that is coarse for the
-            body.
+        InputWarning: the body does not perform the motion or does not stand on the ground, nothing holds up a garment
+            from a file without pins, or skin may show through a garment that is coarse for the body.
     """
     names = ("material", "pins", "triangles", "environment", *entries("scene"))
     refuse_unknown("option of a scene", options, names)
@@ -95,11 +94,11 @@ def build_scene(run: Run, written_fps: float | None = None) -> Scene:
     """Scene of a run, everything in it loaded.
 
     Args:
-        run: names, paths or loaded objects that the scene is made of; its options are not looked at.
+        run: names, paths or loaded objects of the scene; its other options are ignored.
         written_fps: frames per second [1/s] that the result is written at; the run's by default.
 
     Raises:
-        InputError: anything cannot be used, or what is given with a loaded object conflicts with it.
+        InputError: an input cannot be used, or an option conflicts with a loaded object.
 
     Warns:
         InputWarning: as `make_scene` does.

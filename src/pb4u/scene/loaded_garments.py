@@ -66,13 +66,13 @@ def load_garments(
     """The garments, and how each was specified, in the order they are worn, inner first.
 
     Args:
-        specified: which, inner first but for what is tucked into another.
+        specified: the garments, inner first except for tucked ones.
         body: the body that wears them.
-        as_recorded: whether a recording is played as it is, with garments as coarse as its authors had them.
-        rest_shape: of the built-in ones.
+        as_recorded: whether a recording is played unchanged, with garments as coarse as its authors used.
+        rest_shape: of the built-in garments.
 
     Raises:
-        InputError: one cannot be read, or does not fit.
+        InputError: a garment cannot be read, or does not fit.
     """
     garments = []
     for spec in specified:
@@ -92,10 +92,10 @@ def _is_own_count(spec: WornGarment, garment: Garment) -> bool:
 
 
 def load_garment(spec: WornGarment, body: Body, rest_shape: RestShape = Run.rest_shape) -> Garment:
-    """One garment, through all stages; an image that is laid on comes last.
+    """One garment, through all stages; its texture comes last.
 
     Args:
-        spec: which garment, and what is asked for of it.
+        spec: the garment and its options.
         body: the body that wears it.
         rest_shape: of a built-in one.
 
@@ -103,7 +103,7 @@ def load_garment(spec: WornGarment, body: Body, rest_shape: RestShape = Run.rest
         InputError: it cannot be read, or does not fit.
 
     Warns:
-        InputWarning: its file is odd, it starts inside the body, or nothing holds it up.
+        InputWarning: its file is unusual, it starts inside the body, or nothing holds it up.
     """
     kind = kind_of(spec.garment)
     if kind is KINDS["built-in"] and rest_shape == "flat":
@@ -127,14 +127,14 @@ def load_garment(spec: WornGarment, body: Body, rest_shape: RestShape = Run.rest
 
 
 def fabrics_of_parts(name: str, garment: Garment) -> dict[str, str | None]:
-    """The parts of a garment that may have a material of their own, and the fabric that each is made of.
+    """The parts of a garment that may have a material of their own, and the fabric of each.
 
     Args:
         name: built-in name or file.
-        garment: as it is read of that.
+        garment: as read from it.
 
     Returns:
-        By name, None for what is of the same cloth as the rest.
+        By name; None for parts of the same cloth as the rest.
     """
     fabrics = _banded(WornGarment(name)).materials
     return {part: None if part not in fabrics else str(fabrics[part]) for part in Parts(garment).names}
@@ -167,13 +167,13 @@ def _banded(spec: WornGarment) -> WornGarment:
 
 
 class Kind(NamedTuple):
-    """What reads a kind of garment, and what is known of all of that kind.
+    """The reader of a kind of garment, and properties of this kind.
 
     Args:
-        read: makes the garment that is named for a body, of a material; a built-in one of a rest shape.
-        is_file: whether others made it, so that it is to be found out what holds it and whether the body wears it.
-        is_fitted: whether it is made on the body that wears it, with as many triangles as are asked for.
-        is_at_origin: whether it stands around the own origin of a body's model.
+        read: makes the named garment for a body, with a material and, if built in, a rest shape.
+        is_file: whether it comes from a file, so that its support and its fit to the body must be checked.
+        is_fitted: whether it is made on the body that wears it, with the requested number of triangles.
+        is_at_origin: whether it is placed around the origin of the body's model.
     """
 
     read: Callable[[WornGarment, Body, Material, RestShape], Garment]
@@ -183,7 +183,7 @@ class Kind(NamedTuple):
 
 
 def kind_of(garment: str | Path | Garment) -> Kind:
-    """The kind of a garment, one of `KINDS`, by its name alone.
+    """The kind of a garment, one of `KINDS`, from its name.
 
     Args:
         garment: name, path, or Garment made in Python.
@@ -259,7 +259,7 @@ KINDS = {
 
 
 def read(spec: WornGarment, body: Body, rest_shape: RestShape = Run.rest_shape) -> Garment:
-    """A garment as its source gives it, in the material of the run; else in its own, or in the default one.
+    """A garment from its source, in the material of the run; else in its own, or in the default one.
 
     Args:
         spec: which garment.
@@ -284,7 +284,7 @@ def _material(material: str | Path | Material) -> Material:
 
 
 def place(garment: Garment, body: Body, kind: Kind) -> Garment:
-    """The garment where the body stands.
+    """The garment moved to the position of the body.
 
     Args:
         garment: as read.
@@ -325,13 +325,13 @@ def remesh(garment: Garment, body: Body, kind: Kind, triangles: int | None) -> G
 def hold(
     garment: Garment, body: Body, kind: Kind, pins: str | Path | Sequence[int] | None
 ) -> tuple[Garment, Support | None]:
-    """The garment, pinned, and what holds it up where no pins do; None where that is not looked for.
+    """The garment, pinned, and its support if it has no pins; None if this is not searched for.
 
     Args:
         garment: as worn at rest.
         body: the body that wears it.
         kind: of the garment.
-        pins: as for `resolve_pins`; None for its own, or for what is found.
+        pins: as for `resolve_pins`; None for its own pins, or for a support that is found.
 
     Raises:
         InputError: pins that it does not have.
@@ -355,10 +355,10 @@ def check(garment: Garment, body: Body, kind: Kind, support: Support | None, fil
     """The garment with the limbs of the body inside it, if the body wears it.
 
     Args:
-        garment: as it is held.
+        garment: with its pins.
         body: the body that wears it.
         kind: of the garment.
-        support: what holds it up, None where that is not to be told of.
+        support: what holds it up; None if this is not reported.
         file: what the user named, for the cures.
 
     Raises:

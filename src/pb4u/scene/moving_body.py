@@ -34,8 +34,8 @@ class Performance:
     Args:
         body: the moving body, lead-in included; None where the scene has none.
         frames: frames that are there to write.
-        motion: name of what it performs.
-        notes: plain sentences on what was changed or ignored.
+        motion: name of the motion.
+        notes: plain sentences on changed or ignored inputs.
     """
 
     body: AnimatedBody | None
@@ -48,7 +48,7 @@ def perform(run: Run) -> tuple[ShapedBody | VertexSequence | None, Performance]:
     """The body of a run as garments are fitted to it, and in motion, or none; warns of what does not fit.
 
     Args:
-        run: says which body, in what shape, and what it performs.
+        run: gives the body, its shape and its motion.
 
     Raises:
         InputError: body or motion cannot be used, or not together.
