@@ -67,7 +67,7 @@ def named_file(value: str | Path) -> Path:
     """The file that a value of a run names, without the entry of a dictionary or the person of a recording after it.
 
     Args:
-        value: a path, FILE.pkl:NAME, FILE.pkl:NAME@CENTRE or FILE:PERSON; a built-in name is given back as a path.
+        value: a path, FILE.pkl:NAME, FILE.pkl:NAME@CENTRE or FILE:PERSON; a built-in name is returned as a path.
     """
     entry = DictionaryEntry.parse(value)
     if entry is not None:
@@ -83,7 +83,7 @@ def write_scene(run: Run, path: Path) -> None:
     """Write the scene file of a run, with every value that is set.
 
     Args:
-        run: what it describes.
+        run: the run to describe.
         path: the file; paths that are relative to the current folder are written relative to it.
 
     Raises:

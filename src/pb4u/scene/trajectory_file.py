@@ -44,7 +44,7 @@ def encoded(trajectory: Trajectory, half: bool = False) -> bytes:
 
     Args:
         trajectory: what is written.
-        half: float16 in place of float32. Positions are offsets from the middle of each frame's bounding box, so that
+        half: float16 instead of float32. Positions are offsets from the middle of each frame's bounding box, so that
             they are good to 0.25 mm in a box of 2 m, wherever in the world it is; velocities to 0.05 %.
     """
     members = _header_members(trajectory.header)
@@ -67,7 +67,7 @@ def encoded(trajectory: Trajectory, half: bool = False) -> bytes:
 def read_members(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Arrays (...) of a trajectory file by name, in the units of `Trajectory` and its header, and its metadata.
 
-    Frames are mapped: they are read from disk as they are touched.
+    Frames are memory-mapped: they are read from disk on access.
 
     Args:
         path: path of the .npz.
@@ -163,7 +163,7 @@ def _write_members(archive: zipfile.ZipFile, members: Mapping[str, np.ndarray]) 
 class TrajectoryWriter:
     """Streams frames to disk, so that length is not bounded by memory; the file appears when it is closed.
 
-    An error on the way leaves nothing; an interrupt leaves the frames until then, at `interrupted_path`.
+    An error leaves no file; an interrupt leaves the frames so far, at `interrupted_path`.
 
     Args:
         path: path of the file.
@@ -268,7 +268,7 @@ class TrajectoryWriter:
 
 
 def kept_sentence(frames: int, path: Path) -> str:
-    """What is kept of an interrupted run, the first `frames` frames in the file `path`, and what it is for.
+    """Sentence on the first `frames` frames of an interrupted run, kept in the file `path`, and their use.
 
     Args:
         frames: number of frames.
@@ -279,9 +279,9 @@ def kept_sentence(frames: int, path: Path) -> str:
 
 
 def interrupted_path(path: Path) -> Path:
-    """Path of the frames that were there when a run was interrupted; a trajectory that lies at `path` stays.
+    """Path for the frames of an interrupted run; an existing trajectory at `path` stays.
 
     Args:
-        path: where the whole trajectory would lie.
+        path: path of the complete trajectory.
     """
     return path.with_name(f"{path.stem}.interrupted.npz")

@@ -30,7 +30,8 @@ _OTHER_RECORDINGS = (".pkl", ".npz", ".bvh")
 def collect(
     selection: DataSelection, recordings: Path | None = None, seed: int = 0, progress: Progress = no_progress
 ) -> TrainingData:
-    """Training data that `selection` describes; garments of files are worn by the first body, which they were made for.
+    """Training data that `selection` describes; garments from files are worn by the first body, for which they must be
+    made.
 
     Args:
         selection: garments, bodies and motions.

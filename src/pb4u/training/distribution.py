@@ -37,11 +37,11 @@ class Workers:
 
     @property
     def leads(self) -> bool:
-        """Whether this process is the one that writes files and reports."""
+        """Whether this process writes files and reports."""
         return self.rank == 0
 
     def share(self, batch: int) -> slice:
-        """Samples of a `batch` that fall to this process.
+        """Samples of a `batch` for this process.
 
         Args:
             batch: number of samples in all processes together.
@@ -92,7 +92,7 @@ class Workers:
         return self.total(float(flag)) > 0.0
 
     def total(self, value: float) -> float:
-        """Sum of `value` over processes, in its unit; nothing is copied where there is one.
+        """Sum of `value` over processes, in its unit; a single process copies nothing.
 
         Args:
             value: of this process.

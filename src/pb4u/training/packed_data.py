@@ -48,7 +48,7 @@ class PosedClip:
         name: name of the motion, with its seed.
         split: "train" or "validation".
         body: index of the body.
-        poses: poses rounded by `rounded_poses`, so that a pack holds them exactly.
+        poses: poses rounded by `rounded_poses`, so that a pack stores them exactly.
     """
 
     name: str
@@ -59,12 +59,12 @@ class PosedClip:
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """Everything that training samples are made of.
+    """All data from which training samples are made.
 
     Args:
         bodies: bodies at rest.
         outfits: garments that they wear.
-        clips: poses that they take.
+        clips: poses of the bodies.
 
     Raises:
         InputError: a body has no garment or no motion, or where a body's poses correct its surface.

@@ -19,7 +19,7 @@ MOST_ROLLBACKS = 8
 
 
 class TrainingFailedError(Pb4uError):
-    """A training whose energies explode again and again, however low its learning rate."""
+    """A training whose energies explode repeatedly in spite of lower learning rates."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Snapshot:
 
 
 class Recovery:
-    """Keeps the last good state of a training in memory, and in its folder.
+    """Stores the last good state of a training in memory, and in its folder.
 
     Args:
         learner: model in training.
@@ -55,10 +55,10 @@ class Recovery:
         self.saved = self.snapshot(Counters())
 
     def snapshot(self, counters: Counters) -> Snapshot:
-        """Snapshot of the training as it is now, with `counters`.
+        """Snapshot of the present state of the training, with `counters`.
 
         Args:
-            counters: where the training stands.
+            counters: progress of the training.
         """
         return Snapshot(self.learner.state(), counters.to_json())
 
@@ -66,7 +66,7 @@ class Recovery:
         """Keep a snapshot of the training as the last good one.
 
         Args:
-            counters: where the training stands.
+            counters: progress of the training.
         """
         self.saved = self.snapshot(counters)
 
@@ -84,7 +84,7 @@ class Recovery:
         """Return to the last good weights at half the rate, and go on with other samples.
 
         Args:
-            counters: where the training stands.
+            counters: progress of the training.
 
         Raises:
             TrainingFailedError: the training has gone back too often.
@@ -113,12 +113,11 @@ class Recovery:
     def checkpoint(self, counters: Counters, exact: bool = False, insist: bool = False) -> None:
         """Save everything that is needed to resume.
 
-        The training itself goes on from the saved values, rounding included, so that it and a resumed one stay the
-        same.
+        The training itself continues from the saved, rounded values, so that it and a resumed training stay equal.
 
         Args:
             counters: progress of the training.
-            exact: keep moments unrounded.
+            exact: store moments unrounded.
             insist: raise NotSavedError on a full disk; without it, that only costs the checkpoint.
         """
         tensors = self.learner.state(exact)

@@ -32,7 +32,7 @@ LAST, BEST, FINAL, CURVE = "last.safetensors", "best.safetensors", "final.safete
 
 
 class NotSavedError(InputError):
-    """A file of a training could not be written; the one before is still whole."""
+    """A file of a training could not be written; the previous version is still complete."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class RunFolder:
             configuration: plain JSON data.
 
         Raises:
-            InputError: something else is in it, or it cannot be made.
+            InputError: it has other content, or cannot be created.
         """
         RunFolder.require_free(path)
         folder = RunFolder(Path(path))
@@ -85,7 +85,7 @@ class RunFolder:
             self.path.rmdir()
 
     def held(self) -> AbstractContextManager:
-        """Keep other processes from training in the folder.
+        """Lock the folder against other trainings.
 
         Raises:
             InputError: another process trains in it.
@@ -195,7 +195,7 @@ class RunFolder:
             out.write(json.dumps(record) + "\n")
 
     def metrics(self) -> list[dict[str, Any]]:
-        """Lines of the metrics, those cut short left out."""
+        """Lines of the metrics, without incomplete ones."""
         lines = []
         with contextlib.suppress(FileNotFoundError), (self.path / METRICS).open("rb") as stream:
             for line in stream:
@@ -207,10 +207,10 @@ class RunFolder:
         return lines
 
     def forget_metrics_after(self, step: int) -> None:
-        """Delete the lines of the metrics after a `step`, which will be taken again.
+        """Delete the lines of the metrics after a `step`, since later steps will be repeated.
 
         Args:
-            step: last step whose lines stay.
+            step: last step whose lines are kept.
         """
         lines = [line for line in self.metrics() if line.get("step", 0) <= step]
         self._replace(METRICS, "".join(json.dumps(line) + "\n" for line in lines).encode())

@@ -257,7 +257,7 @@ class _Silent(Reporter):
 
 @contextmanager
 def stop_signals() -> Iterator[Callable[[], bool]]:
-    """Function that says whether an interrupt or a request to end has come; a second interrupt has its usual effect."""
+    """Function that tells whether an interrupt or SIGTERM has arrived; a second interrupt has its usual effect."""
     signals: list[int] = []
 
     def ask(number: int, _: FrameType | None) -> None:

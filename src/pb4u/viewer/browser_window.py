@@ -130,7 +130,7 @@ class BrowserWindow:
         """Hand the user a scene file, packed with the files it names; returns a sentence that says so.
 
         Args:
-            run: what it describes.
+            run: the run to describe.
         """
         require_offered(run, self.uploads.files)
         name, content = pack_scene(run, self.uploads.folder)

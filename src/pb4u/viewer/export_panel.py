@@ -92,7 +92,7 @@ def pack_scene(run: Run, folder: Path) -> tuple[str, bytes]:
     """A scene file, alone or packed with the files it names: name and content of one file for the browser.
 
     Args:
-        run: what it describes.
+        run: the run to describe.
         folder: that holds the files it names, and for a moment the scene file.
     """
     with _ONE_AT_A_TIME:
