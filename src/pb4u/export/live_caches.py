@@ -95,7 +95,7 @@ class LiveCaches:
             frame: the next one.
 
         Raises:
-            InputError: the disk takes no more.
+            InputError: the disk is full.
         """
         self._arrived.append(frame.positions)
         frames = self._dropped + len(self._arrived)

@@ -195,7 +195,7 @@ class TrajectoryWriter:
             frame: the frame.
 
         Raises:
-            InputError: the disk takes no more.
+            InputError: the disk is full.
         """
         try:
             for name in _STREAMED:
@@ -210,7 +210,7 @@ class TrajectoryWriter:
         """Assemble the file and move it into place. Without a frame nothing is written.
 
         Raises:
-            InputError: the disk takes no more.
+            InputError: the disk is full.
         """
         try:
             for raw in self._raw.values():

@@ -40,12 +40,12 @@ _AFTER_FAILURE = 0.5
 
 
 class BrowserWindow:
-    """One browser window: answers the requests of its panels, takes in frames of its simulation, and draws its page.
+    """One browser window: handles the requests of its panels, receives frames of its simulation, and draws its page.
 
     Args:
         client: the window.
-        clips: what it shows first.
-        out: folder that exports are kept in as well, or None.
+        clips: clips to show first.
+        out: folder in which exports are also saved, or None.
     """
 
     def __init__(self, client: ClientHandle, clips: tuple[Clip, ...], out: Path | None = None) -> None:
@@ -98,10 +98,10 @@ class BrowserWindow:
         return self._closed.is_set()
 
     def say(self, sentence: str) -> None:
-        """Tell the user what went wrong.
+        """Show the user an error message.
 
         Args:
-            sentence: what went wrong.
+            sentence: the error message.
         """
         if not self.closed:
             self._client.add_notification(
@@ -144,7 +144,7 @@ class BrowserWindow:
             suffix: ".png" for the frame that is shown, ".gif" or ".mp4" for all of them.
 
         Raises:
-            InputError: there is nothing to see, or pictures are being taken.
+            InputError: there is nothing to show, or pictures are being taken.
             MissingExtraError: the format needs an extra.
         """
         with self._lock:
@@ -157,7 +157,7 @@ class BrowserWindow:
         self._wake.set()
 
     def stop_filming(self) -> None:
-        """Take no more pictures, and throw away what is there."""
+        """Stop taking pictures, and discard those taken."""
         with self._lock:
             if self._film is not None:
                 self._film.stopped = True
@@ -166,10 +166,10 @@ class BrowserWindow:
         """Begin a simulation.
 
         Args:
-            run: what is simulated, and how.
+            run: the run to simulate.
 
         Raises:
-            InputError: another one runs, or the page does not offer what is requested.
+            InputError: another simulation is running, or the page does not offer this run.
         """
         require_offered(run, self.uploads.files)
         with self._lock:

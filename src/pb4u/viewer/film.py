@@ -38,8 +38,8 @@ class Film:
         clip: the first clip that is shown, which gives the frame rate and the name.
 
     Attributes:
-        pictures: (height, width, 3 or 4) uint8 each, those that are taken.
-        stopped: whether no more are wanted.
+        pictures: (height, width, 3 or 4) uint8 each, the pictures so far.
+        stopped: whether recording was stopped.
 
     Raises:
         InputError: there are too many frames, or no such format.
@@ -57,7 +57,7 @@ class Film:
         self.stopped = False
 
     def developed(self) -> tuple[str, bytes, str]:
-        """Name and content of the file, and what else to know of it as a predicate, or nothing."""
+        """Name and content of the file, and a note on it as a predicate, or ""."""
         from PIL import Image
 
         stem = self.clip.file_stem

@@ -23,7 +23,7 @@ class PageGuard:
 
     Args:
         host: address that the studio listens on.
-        port: port that it listens on; 0 where it is not known yet.
+        port: port on which it listens; 0 if not yet known.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -34,7 +34,7 @@ class PageGuard:
         self._cookie = f"pb4u-{port or secrets.token_hex(4)}"
 
     def refusal(self, path: str, headers: Any) -> str | None:
-        """Why a request is not answered, as a sentence; None where it is.
+        """Sentence on why a request is refused; None if it is allowed.
 
         Args:
             path: path and query that it asks for.
@@ -105,8 +105,8 @@ def _is_here(host: str) -> bool:
 def guarded_server(guard: PageGuard) -> Iterator[None]:
     """Within it, a viser server that starts asks `guard` about each request.
 
-    viser hands its own function for requests to `websockets` and offers no place for another, so it is wrapped on its
-    way there.
+    viser passes its own request function to `websockets` and has no hook for another one, so this function is wrapped
+    there.
 
     Args:
         guard: what decides.

@@ -53,11 +53,11 @@ class Uploads:
 
     @property
     def folder(self) -> Path:
-        """Folder that holds them, those of a kind in a folder of its own."""
+        """Folder with the files, with a subfolder for each kind."""
         return Path(self._folder.name)
 
     def keep(self, kind: str, name: str, content: bytes) -> str:
-        """Keep a file; the name it has here. One of this name and kind is replaced.
+        """Save a file; returns its name here. A file of this name and kind is replaced.
 
         Args:
             kind: one of `KINDS`.
@@ -65,7 +65,7 @@ class Uploads:
             content: all of its bytes.
 
         Raises:
-            InputError: it is of no such kind, too large, or the disk takes no more.
+            InputError: it is of another kind, too large, or the disk is full.
         """
         plain = re.sub(r"[^\w.+-]+", "_", re.split(r"[/\\]", name)[-1]).lstrip("._")
         suffix, accepted = Path(plain).suffix.lower(), KINDS[kind].suffixes + KINDS[kind].companions
@@ -135,7 +135,7 @@ def bound_uploads(gui: GuiApi, say: Callable[[str], None]) -> None:
 
     Args:
         gui: controls of one page.
-        say: told the sentence.
+        say: called with the sentence.
     """
     from viser import _messages
 
