@@ -64,7 +64,7 @@ def read_scene(path: Path) -> Run:
 
 
 def named_file(value: str | Path) -> Path:
-    """The file that a value of a run names, without the entry of a dictionary or the person of a recording after it.
+    """The file that a value of a run names, without a following dictionary entry or person of a recording.
 
     Args:
         value: a path, FILE.pkl:NAME, FILE.pkl:NAME@CENTRE or FILE:PERSON; a built-in name is returned as a path.

@@ -42,7 +42,7 @@ class Rig:
         tree: the nodes of its file.
         bone_nodes: (bones,) int64, node of each bone.
         binds: (bones, 4, 4) transform of each bone to the world at rest [m].
-        morphs: what changes the surface before it is skinned.
+        morphs: morph targets applied before skinning.
     """
 
     tree: NodeTree

@@ -140,7 +140,7 @@ def by_number(file: Path) -> list[object]:
     """Order of numbered files: frame2 before frame10.
 
     Args:
-        file: one of them.
+        file: a file of the sequence.
     """
     return [int(word) if word.isdigit() else word for word in re.split(r"(\d+)", file.stem)]
 

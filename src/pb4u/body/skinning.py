@@ -156,7 +156,7 @@ class SkinnedSurface:
         return torch.from_numpy(result)
 
     def turned(self, offsets: Tensor, transforms: Tensor) -> Tensor:
-        """Offsets from the rest surface, turned with it by the blended rotations of the bones.
+        """Offsets from the rest surface, rotated by the blended rotations of the bones.
 
         Args:
             offsets: (frames, vertices, 3) at rest [m].

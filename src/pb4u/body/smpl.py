@@ -59,7 +59,7 @@ class SmplBody(BodyModel):
     Its shape parameters are beta0, beta1, ..; expressions are left at zero.
 
     Args:
-        path: the .npz or .pkl; a .pkl is read without running anything in it.
+        path: the .npz or .pkl; a .pkl is read without running any code in it.
 
     Raises:
         InputError: the file is not such a model.

@@ -187,7 +187,7 @@ def refuse_large(path: Path | str, triangles: int) -> None:
 
     Args:
         path: file of the body, for the message.
-        triangles: number of them.
+        triangles: number of triangles.
 
     Raises:
         InputError: there are more than `MOST_TRIANGLES`.

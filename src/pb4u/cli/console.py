@@ -248,7 +248,7 @@ class BodyShape(dict[str, float]):
 
         Args:
             key: its name.
-            value: its value, in the range that the body has for it.
+            value: its value, within the body's range.
 
         Raises:
             BadParameter: it is set already.

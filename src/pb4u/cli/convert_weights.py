@@ -23,7 +23,7 @@ def convert_weights(
     """Convert a .pth of the released Pb4U-GNet, MeshGraphNet, HOOD or ContourCraft, number by number.\f
 
     Args:
-        checkpoint: Checkpoint of Pb4U-GNet, HOOD or ContourCraft; nothing in it is run.
+        checkpoint: Checkpoint of Pb4U-GNet, HOOD or ContourCraft; no code in it is run.
         out: File to write, for --model.
         method: Network preset of the checkpoint, such as release_hood. Default: found from its settings and keys.
         licence: Licence of the weights, kept with them. Default: "unknown: ask the author".

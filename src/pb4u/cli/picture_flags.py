@@ -48,10 +48,10 @@ PICTURE_FLAGS = record_flags(PictureRequest)
 
 
 def view_of(targets: Sequence[Path], values: Mapping[str, Any]) -> View | None:
-    """The view that the flags ask for; None where none of them is given.
+    """The view that the flags request; None if no such flag is given.
 
     Args:
-        targets: files to write, of suffixes that are known; one of them at least has pictures where a flag is given.
+        targets: files to write, with known suffixes; if a flag is given, at least one must have pictures.
         values: values of the flags by name.
 
     Raises:

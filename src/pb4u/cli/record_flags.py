@@ -99,7 +99,7 @@ def given_values(record: type, flags: Mapping[str, Any]) -> dict[str, Any]:
         flags: values by name of the field, None where a flag is not given.
 
     Raises:
-        InputError: a list of numbers has something else in it.
+        InputError: a list of numbers has an entry that is not a number.
     """
     return {name: _value(described(record)[name], value) for name, value in flags.items() if value is not None}
 

@@ -78,12 +78,12 @@ class RecordingAsItIs(MotionAsRecorded):
         return {f"beta{k}": float(value) for k, value in enumerate(self.betas)}
 
     def led_in(self, body: ShapedBody, fps: float, frames: int) -> PoseSequence:
-        """The whole recording with frames before it, from the zero pose facing as its first frame does.
+        """The whole recording after lead-in frames from the zero pose, with the heading of its first frame.
 
         Args:
             body: the body that performs it.
             fps: frames per second, which is the recording's own [1/s].
-            frames: number of frames before it; the released code's N interpolated ones are N + 1 here.
+            frames: number of lead-in frames; the released code's N interpolated ones are N + 1 here.
 
         Raises:
             InputError: another frame rate, or a body that is not of SMPL.

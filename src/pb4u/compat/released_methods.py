@@ -41,7 +41,7 @@ class ReleasedMethod:
 
     Args:
         preset: name of its configuration here.
-        models: names of it in the settings of a file.
+        models: its names in the settings of a file.
         marker: part of a key that only its files have.
         columns: columns of each encoder as the file has them, by table; "-" before one whose sign is another here.
         kinds: encoder of every kind of edges of ours, its table and its statistics.

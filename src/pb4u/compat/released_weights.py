@@ -84,7 +84,7 @@ class ReleasedWeights:
 
 
 def read_released(path: Path | str, method: str | None = None, licence: str | None = None) -> ReleasedWeights:
-    """Weights in a checkpoint of the released code; nothing in it is run.
+    """Weights in a checkpoint of the released code; no code in it is run.
 
     Args:
         path: the .pth file, or its weights alone as .safetensors with the same keys.

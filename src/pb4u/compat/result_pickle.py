@@ -46,7 +46,7 @@ def write_result(trajectory: Trajectory, path: Path, progress: Progress) -> None
 
 
 def read_result(path: Path) -> Trajectory:
-    """Trajectory in a result of the released code; nothing in it is run.
+    """Trajectory in a result of the released code; no code in it is run.
 
     The files have no rest shape and no velocities: the first frame and differences of positions replace them.
 

@@ -14,7 +14,7 @@ HELD_FRAMES = "held_frames"
 
 
 def hold_finite(trajectory: Trajectory) -> Trajectory:
-    """The trajectory with each frame that holds NaN or infinity replaced by the last whole frame before it.
+    """The trajectory with each frame that has NaN or infinite values replaced by the last finite frame before it.
 
     No scene format has a place for NaN: tools drop the mesh or crash. The frames concerned are named in an
     InputWarning and under `held_frames` in the metadata, from which writers mark them. Frames before the first finite

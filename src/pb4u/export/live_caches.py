@@ -50,7 +50,7 @@ def check_live_folder(folder: Path) -> None:
 
 
 class LiveCaches:
-    """Point caches of a run's garments that grow with it.
+    """Point caches of a run's garments that grow during the run.
 
     Args:
         folder: where they are written; the caches of an earlier run there are replaced.

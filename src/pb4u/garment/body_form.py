@@ -196,7 +196,7 @@ class BodyForm:
         return np.concatenate(points), np.concatenate(normal), np.concatenate(owner)
 
     def sections(self, skin: np.ndarray, centre_x: float | None = 0.0) -> Sections:
-        """Hulls of the horizontal slices of some skin; a level covers the slices next to it too.
+        """Hulls of the horizontal slices of some skin; each level includes its neighbouring slices.
 
         Args:
             skin: (vertices,) bool.

@@ -243,7 +243,7 @@ def require_clothes(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
         body: the body meant to wear it.
 
     Raises:
-        InputError: a part of it is a body.
+        InputError: a part of the garment is a body.
     """
     rest = RestBody.of(body)
     if body_faces(garment.vertices, garment.faces, rest).any():

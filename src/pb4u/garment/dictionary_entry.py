@@ -15,7 +15,7 @@ class DictionaryEntry(NamedTuple):
 
     Args:
         path: the file.
-        name: of the garment in it; None where it holds one.
+        name: of the garment in the file; None if the file has only one.
         centre: vertex that its coarse levels start from; None is the first that the file has levels for.
     """
 

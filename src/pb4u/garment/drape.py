@@ -205,7 +205,7 @@ def skin_field(lattice: Lattice, form: BodyForm, left_out: np.ndarray) -> np.nda
     Args:
         lattice: points at which to sample the field.
         form: measures of the body.
-        left_out: (vertices,) bool, skin that is not covered: nearest to it the field is +3 cm.
+        left_out: (vertices,) bool, skin that is not covered: where such skin is nearest the field is +3 cm.
 
     Returns:
         (nx, ny, nz) [m].

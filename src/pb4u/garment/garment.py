@@ -113,8 +113,8 @@ class Garment:
         panels: names of the pattern's panels, where it was sewn of one: each is an island of `uv_faces`, in the order
             of their first UV points.
         materials: cloths of its parts; by default only `material`.
-        face_material: (faces,) int64 which of the `materials` each face, or most of it, is made of; None where there
-            is one at most.
+        face_material: (faces,) int64 index in `materials` of each face, or of most of its area; None for at most one
+            material.
         material_layers: (faces, materials) float64 number of layers of each of the `materials` on each face, averaged
             over its area; by default each face is one layer of one material.
         trims: interfacing and elastic of its faces; None for none.

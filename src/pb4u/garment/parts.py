@@ -60,7 +60,7 @@ class Part:
 
     @cached_property
     def share(self) -> np.ndarray:
-        """Share (faces,) of each face's area that belongs to it."""
+        """Share (faces,) of each face's area that belongs to the part."""
         return shares_below(self.beyond, 0.0)
 
 

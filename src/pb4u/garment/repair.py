@@ -235,7 +235,7 @@ def _pushed_out(source: PolygonMesh, body: RestBody, changes: list[str], remarks
 
 
 def push_out(vertices: np.ndarray, topology: Topology, body: RestBody) -> np.ndarray:
-    """Cloth moved to at least `CLEARANCE` outside a closed body, where the body's creases leave room for it.
+    """Cloth moved to at least `CLEARANCE` outside a closed body, if the body's creases leave room.
 
     Vertices too near are projected out, the displacement is spread over the neighbouring cloth so that it does not
     crease, and what this brings back in is projected again. Middles of edges are kept outside too.

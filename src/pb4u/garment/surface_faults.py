@@ -143,7 +143,7 @@ def is_double(surface: SourceSurface) -> bool:
 
 
 def first_of(ids: np.ndarray) -> str:
-    """The first of some indices (n,), or of pairs of them (n, 2), as text.
+    """The first of some indices (n,), or of pairs of indices (n, 2), as text.
 
     Args:
         ids: (n,) or (n, 2) int64.

@@ -70,7 +70,7 @@ class SewnPart:
     Args:
         name: of the part.
         material: that it is made of.
-        layers: number of them.
+        layers: number of layers.
         interfacing: bending stiffness that is added [N m].
         elastic: rest length along the border over that of the cloth.
         width: of a band [m]; None of a piece.

@@ -42,7 +42,7 @@ class PolygonMesh:
         appearances: colours and images of the polygons, where the file has any.
         pieces: names that the file gives to polygons, each once, whatever they look like.
         piece_of_polygon: (polygons,) int64 which of the `pieces` each polygon belongs to, -1 for none; or None.
-        lines: (lines, 2) int64 vertices that the file joins by lines beside its polygons, or None.
+        lines: (lines, 2) int64 vertices joined by separate lines in the file, or None.
         objects: names of the objects of the file.
         object_of: (polygons,) int64 number of the object of each polygon, or None.
     """

@@ -65,7 +65,7 @@ class Topology:
         return np.diff(np.append(starts, len(order)))
 
     def faces_at(self, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Row of `edges` and face, (pairs,) int64 each, of every face at each of them, row by row.
+        """Row of `edges` and face, (pairs,) int64 each, of every face at each edge, row by row.
 
         Args:
             edges: (rows,) int64 numbers of edges.

@@ -140,7 +140,7 @@ def shares_below(values: np.ndarray, level: float) -> np.ndarray:
 
 
 def both_below(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Whether (faces,) bool some of a face has two quantities below zero that are linear on it.
+    """Whether (faces,) bool two quantities, linear on each face, are both below zero somewhere on the face.
 
     Args:
         one: (faces, 3) at the corners, in any unit.

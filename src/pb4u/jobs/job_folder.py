@@ -98,7 +98,7 @@ class JobFolder:
         """Record what the run consists of.
 
         Args:
-            jobs: every job of it.
+            jobs: all jobs of the run.
             more: further entries, as JSON.
         """
         manifest = {

@@ -74,7 +74,7 @@ class Step:
         stop: phase at which it is down again, below 1.
         x: lateral position where it lands, positive to the left [m].
         z: where it lands, to the front [m].
-        yaw: how it is turned there [deg].
+        yaw: heading of the foot there [deg].
         height: largest height of the ankle above its start [m].
     """
 

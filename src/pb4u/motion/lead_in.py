@@ -89,7 +89,7 @@ def _run_up(poses: PoseSequence, times: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def run_up(times: np.ndarray) -> np.ndarray:
-    """Time [s] before its first frame at which a motion is thought to be at `times` < 0 [s]: it slows down backwards.
+    """Time [s] before its first frame to which a motion is extrapolated at `times` < 0 [s]: it slows down backwards.
 
     Args:
         times: (frames,) [s].

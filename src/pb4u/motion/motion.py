@@ -113,12 +113,12 @@ class MotionAsRecorded(Motion):
 
     @abstractmethod
     def led_in(self, body: ShapedBody, fps: float, frames: int) -> PoseSequence:
-        """The whole recording with frames before it.
+        """The whole recording after lead-in frames.
 
         Args:
             body: the body that performs it.
             fps: frames per second [1/s].
-            frames: number of frames before it.
+            frames: number of lead-in frames.
 
         Raises:
             InputError: the body cannot perform it, or not at this rate.

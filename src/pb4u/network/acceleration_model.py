@@ -44,7 +44,7 @@ class FurtherLoss(Protocol):
 
         Args:
             before: (vertices, 3) positions before the step [m].
-            after: (vertices, 3) positions after it [m].
+            after: (vertices, 3) positions after the step [m].
             progress: fraction of the training's budget that is spent.
         """
 

@@ -71,7 +71,7 @@ def normed_perceptron(values: Tensor, weight: Tensor, bias: Tensor, layers: Laye
     Args:
         values: (rows, inputs) [1] that enter.
         weight: (width, inputs) [1] of the first layer.
-        bias: (width,) [1] of it.
+        bias: (width,) [1] of this layer.
         layers: the second layer, the last and the norm, all `width` wide.
     """
     output: Tensor = _Perceptron.apply(  # type: ignore[no-untyped-call]

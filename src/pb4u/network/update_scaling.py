@@ -198,8 +198,8 @@ def scaling_of(scaling: Scaling, garments: PackedGarments, graph: GarmentGraph) 
 class SwitchedScaling:
     """Another rule than that of the training, for the same weights; the two agree at the training's own resolution.
 
-    There a garment's edges have the length L_t, and the weights have learnt beside the factor that their own rule has
-    for it. The other rule's factor, relative to that for L_t and at most 1, multiplies this one.
+    There a garment's edges have the length L_t, and the weights were trained together with their own rule's factor for
+    L_t. The other rule's factor, relative to that for L_t and at most 1, multiplies this one.
 
     Args:
         used: the rule.

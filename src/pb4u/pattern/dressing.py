@@ -54,10 +54,9 @@ class Dressed:
         garment: the garment, flat at rest; `vertices` is where it hangs on the body.
         mesh: the panels that it is sewn of.
         crossings: pairs of its triangles that cross.
-        body_crossings: pairs of a triangle of it and one of the body that cross.
+        body_crossings: number of crossing pairs of a garment triangle and a body triangle.
         depth: how deep its deepest vertex is in the body [m].
-        strain: largest principal strain of each face, averaged by area, as the cloth hung before it was moved off the
-            skin.
+        strain: largest principal strain of each face, averaged by area, before hanging cloth was moved off the skin.
     """
 
     garment: Garment

@@ -18,7 +18,7 @@ class Integrator(Protocol):
     """A rule of integration in time. It has no state of its own: data on earlier states are in a state's history.
 
     Attributes:
-        name: by which a run asks for it.
+        name: its value of `time_integration`.
     """
 
     name: str

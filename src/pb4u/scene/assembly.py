@@ -91,7 +91,7 @@ def make_scene(
 
 
 def build_scene(run: Run, written_fps: float | None = None) -> Scene:
-    """Scene of a run, everything in it loaded.
+    """Scene of a run, with all inputs loaded.
 
     Args:
         run: names, paths or loaded objects of the scene; its other options are ignored.

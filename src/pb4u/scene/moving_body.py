@@ -45,7 +45,7 @@ class Performance:
 
 
 def perform(run: Run) -> tuple[ShapedBody | VertexSequence | None, Performance]:
-    """The body of a run as garments are fitted to it, and in motion, or none; warns of what does not fit.
+    """The body of a run in the pose for fitting garments, and in motion, or none; warns of inputs that do not fit.
 
     Args:
         run: gives the body, its shape and its motion.

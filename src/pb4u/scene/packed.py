@@ -39,7 +39,8 @@ class PackedGarments:
             where the garment has one.
         face_areas: (faces,) rest areas [m^2].
         membrane: (faces, 4) moduli c11 (weft), c22 (warp), c12 and c33 [N/m] along the axes of the rest shape.
-        stiffening: (faces, 2) stretch of a thread beyond which it stiffens [1], and by how much for a unit of it [N/m].
+        stiffening: (faces, 2) stretch of a thread beyond which it stiffens [1], and the increase of its modulus for
+            each unit of stretch [N/m].
         damping: (faces,) damping times [s].
         edges: (edges, 2) int64.
         edge_lengths: (edges,) rest lengths [m].
@@ -148,7 +149,7 @@ class PackedGarments:
         """Rows of all worlds side by side; shorter worlds are padded with their last row.
 
         Vertex (worlds, rows) int64 of each row, whether it is not a repetition (worlds, rows) bool, and the row
-        (vertices,) int64 of each vertex among all of them one after the other.
+        (vertices,) int64 of each vertex in the concatenated rows.
         """
         offsets = to_device(torch.as_tensor(self.world_offsets), self.device)
         rows = torch.arange(int(max(np.diff(self.world_offsets), default=0)), device=self.device)

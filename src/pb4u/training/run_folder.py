@@ -88,7 +88,7 @@ class RunFolder:
         """Lock the folder against other trainings.
 
         Raises:
-            InputError: another process trains in it.
+            InputError: another process is training in the folder.
         """
         with on_disk(f"Cannot use the folder {self.path}"):
             return locked(

@@ -112,7 +112,7 @@ class LiveSimulation(Worker):
 
     @property
     def live(self) -> LiveRun | None:
-        """The run that can be touched; None before it has begun, and where no step can be."""
+        """The run that can be touched; None before it begins, and if its steps cannot be touched."""
         return self._live
 
     @property

@@ -143,7 +143,7 @@ class PlotPanel(Panel):
 
 
 def on_timeline(curve: np.ndarray, rate: float) -> np.ndarray:
-    """Values at the frames of another clip, each of the moment that is shown beside it.
+    """Values at the frames of another clip shown beside this one, at the same times.
 
     Args:
         curve: (frames,) values at the frames of a clip.

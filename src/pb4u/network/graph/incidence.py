@@ -36,7 +36,7 @@ class Incidence:
         """Incidence of only the given index ranges, renumbered.
 
         Args:
-            edges: spans of edges, each touching exactly the span of nodes beside it.
+            edges: index ranges of edges, each of which touches exactly the corresponding range of nodes.
             nodes: spans of nodes.
         """
         index, order, offsets = [], [], [self.offsets.new_zeros(1)]

@@ -97,7 +97,7 @@ class Ramp:
 
     Args:
         start: fraction of the training's budget up to which the weight is 0.
-        stop: fraction from which on it is `most`.
+        stop: fraction from which on the weight is `most`.
         most: the full weight, in the unit of the loss that it weighs.
     """
 
@@ -145,7 +145,7 @@ class Repulsion:
             garments: the pack.
             proximity: search for where each garment is close to itself.
             before: (vertices, 3) positions before the step [m].
-            after: (vertices, 3) positions after it [m].
+            after: (vertices, 3) positions after the step [m].
         """
         facing = proximity.find(as_points(before), self.reach)
         outside = ~facing.passed
@@ -183,7 +183,7 @@ class ContourLength:
             garments: the pack.
             proximity: search for where each garment is close to itself.
             before: (vertices, 3) positions before the step [m].
-            after: (vertices, 3) positions after it [m].
+            after: (vertices, 3) positions after the step [m].
         """
         squares, vertices = squared_segment_lengths(proximity.contours, after)
         return squares, garments.vertex_garment[vertices]

@@ -49,7 +49,7 @@ class FaceClearance:
         clearance: distance that the cloth keeps from the surface [m].
         passes: largest number of passes, since a lifted vertex also lifts its neighbours; clothes of 2,500 and 11,000
             triangles need two to six.
-        most_stretch: length over the length at rest up to which an edge is stretched by it. Straps over a shoulder
+        most_stretch: largest ratio of an edge's length after the lift to its rest length. Straps over a shoulder
             and sleeves of 2,500 triangles over a raised elbow need 1.55 to 1.7; what asks for more has a limb through
             it, and is not covered by pulling.
     """

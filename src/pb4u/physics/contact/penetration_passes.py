@@ -44,7 +44,7 @@ class Cloth(NamedTuple):
         bottoms: as in `Searched`.
         levels: of its tree.
         first: its first vertex.
-        stop: vertex after its last.
+        stop: vertex after its last one.
     """
 
     faces: np.ndarray

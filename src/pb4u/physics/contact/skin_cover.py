@@ -41,7 +41,7 @@ class SkinCover:
 
         Args:
             places: (places, 3) on the skin [m].
-            normals: (places, 3) outward unit normals of it.
+            normals: (places, 3) outward unit normals of the skin.
             cloth: all garments that may cover it.
         """
         near = cloth.nearest(places)

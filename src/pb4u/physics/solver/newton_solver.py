@@ -102,8 +102,8 @@ class Iteration:
 
     Args:
         number: counted from 0.
-        total: energy before it [J].
-        residual: before it, as in `Solution`.
+        total: energy before the iteration [J].
+        residual: before the iteration, as in `Solution`.
     """
 
     number: int

@@ -201,7 +201,7 @@ class AgeingPreconditioner:
 
         Args:
             matrix: new stiffness.
-            pairs: contacts between cloth elements, added to it.
+            pairs: contacts between cloth elements, to add to the matrix.
         """
         if self._current is None:
             self._current = TwoLevelPreconditioner(self._basis, matrix, pairs, self._free)
