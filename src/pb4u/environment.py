@@ -68,7 +68,7 @@ class Environment:
 
     @staticmethod
     def of_metadata(metadata: Mapping[str, Any]) -> Environment:
-        """Environment of a trajectory; what its metadata do not say is as usual.
+        """Environment of a trajectory; entries missing in its metadata have their default.
 
         Args:
             metadata: of the trajectory.
@@ -78,7 +78,7 @@ class Environment:
 
     @property
     def changed(self) -> dict[str, Any]:
-        """Fields that are not as usual, by name."""
+        """Fields that differ from their default, by name."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: value for name, value in values.items() if value != getattr(Environment, name)}
 

@@ -82,7 +82,7 @@ class MissingExtraError(Pb4uError, ImportError):
 
 @contextmanager
 def extra(name: str, purpose: str) -> Iterator[None]:
-    """Refuse what an optional part of the package is needed for, where its imports fail.
+    """Refuse a feature if the imports of its optional part of the package fail.
 
     Args:
         name: of the extra.
@@ -115,7 +115,7 @@ def on_disk(what: str, kind: type[Pb4uError] = InputError) -> Iterator[None]:
 
 
 def sentence_on(error: BaseException) -> str | None:
-    """Sentence on an error of this package, of the memory or of the disk; None for any other, which is a fault of ours.
+    """Sentence on an error of this package, of the memory or of the disk; None for any other, which is a fault of pb4u.
 
     Args:
         error: the error.
@@ -134,7 +134,7 @@ class InputWarning(UserWarning):
 
 
 class InputNote(InputWarning):
-    """Something that was done with an input, which needs no mending."""
+    """Note on a change of an input that needs no action."""
 
 
 _NOTED: ContextVar[tuple[list[str], ...]] = ContextVar("noted", default=())

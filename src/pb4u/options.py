@@ -24,17 +24,17 @@ NONE = "none"
 
 @dataclass(frozen=True)
 class Flag:
-    """How a field is offered beyond Python, and in what range.
+    """Flag, scene-file entry and range of a field.
 
     Args:
         panel: its heading in the help.
-        metavar: what the help writes for its value; by default its type.
-        names: spelling of the flag, where that is more than the name of the field.
+        metavar: placeholder of its value in the help; by default its type.
+        names: spelling of the flag, if it differs from the name of the field.
         least: smallest value.
         most: largest value.
         is_file: whether a text may name a file, which scene files hold relative to themselves.
         section: its section in a scene file.
-        applies_to: part of a model that it changes; models without that part do not look at it. None: every model does.
+        applies_to: part of a model that it changes; models without that part ignore it. None: every model does.
         label: its name in the index of a dataset, by default that of the field; "" if it is not listed.
         by_part: whether a mapping may give a value for each part of a garment.
         form: label of its control in the studio, which shows the fields that have one.

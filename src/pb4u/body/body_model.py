@@ -52,7 +52,7 @@ class BodyModel(ABC):
     """A body model; `shaped` gives the body of some shape parameters.
 
     Attributes:
-        name: what the user called it.
+        name: as given by the user.
         family: which bone names it has: "anny", "smpl", "smplh" or "smplx".
         faces: (faces, 3) int64, counter-clockwise seen from outside.
         bone_names: names of the bones, parents before children.
@@ -138,7 +138,7 @@ class ShapedBody:
     That pose is the A-pose of Anny and the T-pose of the SMPL family.
 
     Args:
-        name: what the user called it.
+        name: as given by the user.
         family: which bone names it has: "anny", "smpl", "smplh" or "smplx".
         vertices: (vertices, 3) float64 rest positions [m].
         faces: (faces, 3) int64.

@@ -70,7 +70,7 @@ class HumanBones:
 
     Args:
         joints: bone by SMPL's name of the joint at its head, of limbs, neck and head.
-        pelvis: the bone that both legs hang on.
+        pelvis: the parent of both legs.
         spine: one or more bones, from above the pelvis to the parent of both arms.
         neck: bones between the spine and the head; there may be none.
     """
@@ -89,7 +89,7 @@ def human_bones(
     Args:
         names: of the bones, parents before children.
         parents: index of each parent, -1 of a root.
-        vrm: bone by VRM's name, where the file has them.
+        vrm: bone by VRM's name, if the file has these names.
     """
     bones = _of_vrm(vrm) if vrm else _by_words(names, parents)
     if any(joint not in bones for joint in NEEDED):
@@ -120,7 +120,7 @@ def smpl_names(
     Args:
         names: of the bones, parents before children.
         parents: index of each parent, -1 of a root.
-        vrm: bone by VRM's name, where the file has them.
+        vrm: bone by VRM's name, if the file has these names.
     """
     human = human_bones(names, parents, vrm)
     if human is None:

@@ -60,7 +60,7 @@ def clip_names(file: GltfFile) -> list[str]:
 
 
 def read_clip(file: GltfFile, tree: NodeTree, name: str | None) -> Clip | None:
-    """An animation; None where the file has none and none is named.
+    """An animation; None if the file has none and no name is given.
 
     Args:
         file: a glTF file.
@@ -69,7 +69,7 @@ def read_clip(file: GltfFile, tree: NodeTree, name: str | None) -> Clip | None:
 
     Raises:
         InputError: the file has no animation of that name.
-        ValueError: its key frames do not rise, are not finite, or belong to no node.
+        ValueError: the times of its key frames do not increase, values are not finite, or a node is missing.
     """
     entries, names = file.entries("animations"), clip_names(file)
     if name is not None and name not in names:

@@ -20,8 +20,8 @@ def bind_spaces(
 ) -> dict[int, np.ndarray]:
     """Transform (4, 4) of each skin's own space to the scene in the bind pose.
 
-    In the bind pose all joints of a skin agree on where its space is. The nodes of a file place the skeleton; if they
-    are in another pose than the bind pose, only their unit and nearest axes are used.
+    In the bind pose all joints of a skin give the same transform of its space. The nodes of a file place the skeleton;
+    if they are in another pose than the bind pose, only their unit and nearest axes are used.
 
     Args:
         tree: nodes of the file.
@@ -61,7 +61,7 @@ def merged_bones(
         places: (4, 4) transform of each skin's own space to the scene.
 
     Raises:
-        InputError: more bones than are read.
+        InputError: there are too many bones.
     """
     bones: list[int] = []
     matrices: list[np.ndarray] = []

@@ -104,7 +104,7 @@ def read_character(
     """The character of a glTF or VRM file in its bind pose, feet on y = 0, facing +Z.
 
     All skinned meshes are joined but hair, eyes, clothes and the like, recognised by their names and those of their
-    materials. Holes are closed, so that inside has a meaning.
+    materials. Holes are closed, so that inside and outside are defined.
 
     Args:
         path: the .glb, .gltf or .vrm.

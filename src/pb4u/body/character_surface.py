@@ -72,7 +72,7 @@ class CharacterSurface:
         return result
 
     def turned_outward(self) -> CharacterSurface:
-        """The surface with each of its pieces turned so that its volume is positive."""
+        """The surface with each of its pieces flipped if needed so that its volume is positive."""
         topology = Topology(self.faces, len(self.vertices))
         piece = topology.piece_of_vertex[self.faces[:, 0]]
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
@@ -81,7 +81,7 @@ class CharacterSurface:
         return CharacterSurface(self.vertices, np.ascontiguousarray(faces), self.bones, self.weights)
 
     def closed(self) -> tuple[CharacterSurface, list[float]]:
-        """The surface with a fan over each hole, and how far across each was [m]."""
+        """The surface with a fan over each hole, and the diameter of each hole [m]."""
         loops = _hole_cycles(self.faces)
         if not loops:
             return self, []

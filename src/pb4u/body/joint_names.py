@@ -60,7 +60,7 @@ def plain_names(bones: Iterable[str], most: int = 4) -> str:
 
     Args:
         bones: their names.
-        most: how many are named; of more, how many there are.
+        most: largest number of names; beyond it only their number is given.
     """
     parts = [f"the {name}" for name in dict.fromkeys(map(plain_name, bones))]
     if len(parts) > most:

@@ -31,7 +31,7 @@ def body_unit(file: object, extent: float, unit: str | None = None) -> tuple[str
     Args:
         file: of the body, for the sentences.
         extent: largest of the body along an axis, in the unit of the file.
-        unit: unit that the user names.
+        unit: unit given by the user.
 
     Raises:
         InputError: the given unit is unknown or gives no possible figure, or no unit or several give a person.
@@ -64,7 +64,7 @@ def body_unit(file: object, extent: float, unit: str | None = None) -> tuple[str
 
 
 def is_person(extent: float) -> bool:
-    """Whether a person may have an extent [m].
+    """Whether an extent [m] is possible for a person.
 
     Args:
         extent: largest along an axis [m].

@@ -49,7 +49,7 @@ _MODELS = {"anny": "pb4u.body.anny_body:AnnyBody"}
 
 
 def body_names() -> tuple[str, ...]:
-    """Names of the built-in bodies; "anny" as well is any body of the full model, where its extra is installed."""
+    """Names of the built-in bodies; "anny" is any body of the full model, if its extra is installed."""
     return BUILT_IN
 
 
@@ -104,14 +104,14 @@ def load_body(
 
 
 def load_boned_body(name_or_path: str | Path, shape: Mapping[str, float] | None = None) -> ShapedBody:
-    """A body with bones; arguments as of `load_body`.
+    """A body with bones; arguments as for `load_body`.
 
     Args:
         name_or_path: name, or path of a file.
         shape: shape parameters by name.
 
     Raises:
-        InputError: it has none, or as `load_body` does.
+        InputError: it has no bones, or for the reasons of `load_body`.
     """
     body = load_body(name_or_path, shape)
     if not isinstance(body, ShapedBody):

@@ -43,7 +43,7 @@ def read_sam3d_body(path: Path) -> VertexSequence:
             gives the frames per second; 30 without it.
 
     Raises:
-        InputError: a part is missing, frames have different vertices, the rate is none, or there are no faces.
+        InputError: a part is missing, frames have different vertices, the rate is invalid, or there are no faces.
     """
     files = sorted(path.glob("*.npz"), key=by_number) if path.is_dir() else [path]
     warn_of_gaps(path, files)

@@ -35,7 +35,7 @@ def write_vertex_sequence(
         vertices: (frames, vertices, 3) [m].
         faces: (faces, 3).
         fps: frames per second.
-        contact: (vertices,) bool, false where the body neither answers contact nor counts as penetrated; default none.
+        contact: (vertices,) bool, False where the body takes no part in contact and penetration; by default all True.
 
     Raises:
         InputError: the file cannot be written.
@@ -55,10 +55,11 @@ def write_vertex_sequence(
 def load_vertex_sequence(path: str | Path, units: str | None = None) -> VertexSequence:
     """Read an .npz, a folder of OBJ or PLY files, or an OBJ with a .pc2 or .mdd point cache of the same name.
 
-    Warns where the body is not closed, leaps, or seems to be Z up.
+    Warns if the body is not closed, leaps, or seems to be Z up.
 
     Args:
-        path: the file or folder; of an OBJ and its cache, either. It plays at 30 frames per second where it names none.
+        path: the file or folder; for an OBJ with a cache either of the two. Without a stated rate it plays at 30 frames
+            per second.
         units: name of its unit of length; by default recognised by the size of a person.
 
     Raises:
@@ -146,7 +147,7 @@ def by_number(file: Path) -> list[object]:
 
 
 def warn_of_gaps(folder: Path, files: Sequence[Path]) -> None:
-    """Warn where the numbers of a folder's frames rise by more than their common step, as frames are missing there.
+    """Warn of missing frames, where the numbers of a folder's frames rise by more than their common step.
 
     Args:
         folder: path of the folder, for the message.

@@ -65,7 +65,7 @@ class PoseSequence:
 
 
 def branch(parents: Sequence[int] | np.ndarray, tops: Collection[int]) -> np.ndarray:
-    """Mask (bones,) bool of some bones and all that hang on them.
+    """Mask (bones,) bool of some bones and all their descendants.
 
     Args:
         parents: (bones,) index of each bone's parent, always lower than the bone's own; -1 for a root.
@@ -78,7 +78,7 @@ def branch(parents: Sequence[int] | np.ndarray, tops: Collection[int]) -> np.nda
 
 
 def hand_bones(names: Sequence[str], parents: Sequence[int] | np.ndarray) -> np.ndarray:
-    """Mask (bones,) bool of the hands: both wrists, as Anny and the SMPL family name them, and all that hangs on them.
+    """Mask (bones,) bool of the hands: both wrists, as Anny and the SMPL family name them, and all their descendants.
 
     Args:
         names: (bones,) name of each.

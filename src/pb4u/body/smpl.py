@@ -135,7 +135,7 @@ def read_contact(path: Path, vertices: int) -> np.ndarray:
         vertices: number of vertices of the body.
 
     Raises:
-        InputError: the file is neither, or is for another body.
+        InputError: the file has neither format, or is for another body.
     """
     if not path.is_file():
         raise InputError(f"There is no file {path} of body vertices to leave out.")

@@ -31,15 +31,14 @@ _FASTEST, _LEAST_LEAP, _LOOKED_AT = 12.0, 0.3, 17
 class VertexSequence(AnimatedBody):
     """An animated surface stored as vertices, played at any frame rate by linear interpolation.
 
-    Its rest pose, that garments are fitted to, is its first frame.
+    Its rest pose, to which garments are fitted, is its first frame.
 
     Args:
-        name: what the user called it.
+        name: as given by the user.
         vertices: (stored frames, vertices, 3) [m], any float type; may be a memory map.
         faces: (faces, 3) int64.
         stored_fps: frames per second of `vertices`.
-        contact: (vertices,) bool, False where contact is not answered and penetration not counted; all True when not
-            given.
+        contact: (vertices,) bool, False where the body takes no part in contact and penetration; by default all True.
 
     Raises:
         InputError: `stored_fps` is not a positive number.
@@ -147,18 +146,19 @@ def body_from_arrays(
 ) -> VertexSequence:
     """A body of your own, moving or standing, from arrays or lists.
 
-    Warns where the body is not closed, leaps, or seems to be Z up.
+    Warns if the body is not closed, leaps, or seems to be Z up.
 
     Args:
         vertices: (frames, vertices, 3), or (vertices, 3) of a body that does not move [m], Y up.
         faces: (faces, 3) vertex indices from 0, counter-clockwise from outside.
         fps: frames per second.
         name: its name.
-        contact: (vertices,) bool, False where contact is not answered; all True when not given.
+        contact: (vertices,) bool, False where the body takes no part in contact; by default all True.
         units: unit of the vertices, one of `pb4u.body.length_units.UNITS`.
 
     Raises:
-        InputError: an array has another shape or holds what cannot be used, or no person has its size in these units.
+        InputError: an array has another shape or unusable values, or its size in these units is impossible for a
+            person.
     """
     points = as_numbers(name, "vertices", vertices)
     points = points[None] if points.ndim == 2 else points
@@ -214,7 +214,8 @@ def require_usable(
         The same, in metres; warns of what was changed.
 
     Raises:
-        InputError: it has no faces or too many, a face names no vertex, or a number is not finite or no length.
+        InputError: it has no faces or too many, a face names a missing vertex, or a number is not finite or not a
+            possible length.
     """
     if not len(faces) or not len(vertices):
         raise InputError(f"{path} has no faces, or no frames; a body needs a surface: export it as polygons.")

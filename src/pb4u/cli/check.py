@@ -45,7 +45,7 @@ def check(
     Args:
         file: Built-in garment, mesh file, sewing pattern or FILE.pkl:NAME of a dictionary; the same as --garment.
         garment: Built-in garment, mesh file, sewing pattern or FILE.pkl:NAME of a dictionary. Repeatable, inner first:
-            then also where they cross each other.
+            then it also reports where garments cross each other.
         body: Body that is to wear it.
         body_shape: shape of the body.
         body_units: Unit of length of the body's file. Default: recognised by the size of a person.

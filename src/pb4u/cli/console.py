@@ -166,7 +166,7 @@ def keep_inputs(
     Args:
         inputs: names and paths of inputs; those that are not a file or folder are ignored.
         outputs: the flag that names each, for the message, and its path; None and "-" write no file.
-        exports: what trajectories are written to, of which some make files of other names.
+        exports: paths of exported trajectories; some formats also write files of other names.
         called: the flag or the argument that names the outputs, for the message.
 
     Raises:

@@ -30,7 +30,7 @@ def convert_weights(
         json: file for the result.
 
     Raises:
-        InputError: the file is none of theirs, damaged, or holds something unexpected; nothing is written then.
+        InputError: the file is not a checkpoint of these, damaged, or has unexpected content; nothing is written then.
     """
     if out.suffix != ".safetensors":
         raise InputError(f"Weights are written as .safetensors; {out} has another suffix.")

@@ -93,7 +93,7 @@ def describe_model(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
         name: a shipped network, a checkpoint file or a .pth of the released code.
 
     Raises:
-        InputError: there is none, or its file cannot be used.
+        InputError: there is no such model, or its file cannot be used.
     """
     from pb4u.paper.departures import description
     from pb4u.simulation.models import load_checkpoint_of

@@ -27,11 +27,11 @@ class PictureRequest:
     Args:
         view: Where pictures are seen from: front, back, left, right, or an angle about the vertical. Default: 25.
         elevation: Angle of the camera above the ground, 0 to 90. Default: 8.
-        turntable: Turn of the camera over the whole clip, as 360. Default: 0.
+        turntable: Turn of the camera over the whole clip in degrees, such as 360. Default: 0.
         size: Size of a picture in pixels. Default: 560x800.
         colour: Colour of the innermost garment in pictures, as a name or #RRGGBB; given again, of the next. Default:
             that of its material.
-        background: Colour behind and below them, as a name or #RRGGBB. Default: light grey.
+        background: Colour of background and ground, as a name or #RRGGBB. Default: light grey.
         weave: Draw the threads of cloth that has UVs. Default: on.
     """
 

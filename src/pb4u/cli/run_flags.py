@@ -126,7 +126,7 @@ AsReleasedFlag: TypeAlias = Annotated[
 
 
 def released_entries(method: str) -> dict[str, Any]:
-    """Entries of a run that plays a recording as the released code of `method`, a key of `AS_RELEASED`, did."""
+    """Entries of a run that plays a recording like the released code of `method`, a key of `AS_RELEASED`."""
     return {
         "as_recorded": True,
         "rest_shape": "moulded",

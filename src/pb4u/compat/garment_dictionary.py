@@ -46,7 +46,7 @@ def read_dictionary_garment(entry: DictionaryEntry, material: Material) -> Garme
         material: its cloth.
 
     Raises:
-        InputError: the file is none, lacks the garment, or its parts do not fit each other.
+        InputError: the file is not a dictionary of garments, lacks the garment, or its parts do not fit each other.
     """
     if not entry.path.is_file():
         raise InputError(f"There is no garment file {entry.path}.")

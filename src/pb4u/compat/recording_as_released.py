@@ -46,7 +46,7 @@ class SmplSequence:
 
 
 class RecordingAsItIs(MotionAsRecorded):
-    """A recording of SMPL that nothing is changed of: not turned, not moved, not set on the ground, not resampled.
+    """A recording of SMPL without any change: not rotated, not moved, not placed on the ground, not resampled.
 
     Hands are held flat, as the released code does on loading. `arms_away` turns the shoulders about z by that angle.
 
@@ -128,7 +128,8 @@ def read_smpl_sequence(path: Path, crop: tuple[int, int] | None = None) -> SmplS
         crop: (first, stop) frames to keep, counted at the recording's own rate.
 
     Raises:
-        InputError: it is none, is of another skeleton, or holds values that are not finite, or the crop is not inside.
+        InputError: it is not such a file, has another skeleton or values that are not finite, or the crop is not
+            inside.
     """
     if not path.is_file():
         raise InputError(f'There is no motion file "{path}".')

@@ -62,7 +62,7 @@ class ReleasedFile:
             path: the .pth or .safetensors file.
 
         Raises:
-            InputError: it is damaged, of another project, or holds something unexpected.
+            InputError: it is damaged, of another project, or has unexpected content.
         """
         if path.suffix.lower() != ".safetensors":
             return cls(path, load_tensors(path))
@@ -94,7 +94,7 @@ class ReleasedFile:
         return tensor
 
     def mlp(self, prefix: str, layers: str = ".0.layers.") -> dict[str, Tensor]:
-        """The MLP called `prefix` by our names; with a LayerNorm unless `layers` says that none ends it.
+        """The MLP `prefix` under our names; with a LayerNorm at its end unless `layers` says otherwise.
 
         Args:
             prefix: start of its keys in the file.
@@ -148,7 +148,7 @@ class ReleasedFile:
 
         Args:
             names: path to it; "*" is the only entry at its level.
-            default: returned where the file says nothing.
+            default: returned if the file has no such setting.
         """
         value: Any = self.settings
         for name in names:

@@ -48,7 +48,7 @@ class ReleasedWeights:
     Args:
         name: stem of the file.
         preset: name of the released network.
-        configuration: our network that they fit.
+        configuration: of our network with these weights.
         tensors: its state; float32 as in the file, float64 where something was folded.
         record: what the file says about its training.
         licence: as given by the user, else that it is unknown.
@@ -92,7 +92,7 @@ def read_released(path: Path | str, method: str | None = None, licence: str | No
         licence: licence of the weights; None where the user does not know it.
 
     Raises:
-        InputError: the file is none of a known method, damaged, or holds something unexpected.
+        InputError: the file is of no known method, damaged, or has unexpected content.
     """
     path = Path(path)
     if not path.is_file():

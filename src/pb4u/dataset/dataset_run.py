@@ -57,7 +57,7 @@ def make_dataset(
         Counts, bytes and seconds of the dataset, as JSON; `failures` lists the clips that could not be made.
 
     Raises:
-        InputError: something is unknown or unusable, or the disk has not room enough; before any work.
+        InputError: something is unknown or unusable, or the disk is too full; raised before any work.
         Pb4uError: the disk refuses, or it was interrupted.
     """
     require_parquet()

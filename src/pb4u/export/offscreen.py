@@ -56,7 +56,7 @@ def choose_opengl() -> None:
     """Set the environment of this process so that VTK draws off screen, unless it already does.
 
     Raises:
-        Pb4uError: nothing that is here draws.
+        Pb4uError: this machine has no off-screen renderer.
     """
     settings = tuple(sorted((name, value) for name, value in os.environ.items() if name.startswith(_TOLD)))
     chosen = _working(settings)

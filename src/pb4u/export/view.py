@@ -30,7 +30,7 @@ class View:
         show_body: whether the body is drawn.
         cloths: colours of the garments in order; further garments have their default colour.
         weave: whether the threads of the cloth are drawn where it has UVs.
-        background: colour behind and below it all, sRGB [0 to 1].
+        background: colour of background and ground, sRGB [0 to 1].
 
     Raises:
         InputError: a size or an angle is out of range.

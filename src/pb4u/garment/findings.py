@@ -46,7 +46,7 @@ class Finding:
         mendable: whether `repair` does that.
         where: indices of the first vertices, faces or edges concerned, as the sentence says.
         vertices: indices of all vertices concerned, in the author's mesh.
-        tacks: pairs of vertices, in the author's mesh, that would be sewn together to mend it.
+        tacks: pairs of vertices, in the author's mesh, to sew together as a remedy.
     """
 
     code: str
@@ -60,7 +60,7 @@ class Finding:
 
 
 def surface_findings(surface: SourceSurface) -> list[Finding]:
-    """Faults of the mesh itself, on whatever body.
+    """Faults of the mesh itself, independent of the body.
 
     Args:
         surface: of the author's mesh of the garment.

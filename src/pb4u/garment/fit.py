@@ -77,7 +77,7 @@ class RestBody:
     """The surface that a garment is fitted to.
 
     Args:
-        name: what the user called the body.
+        name: of the body, as given by the user.
         vertices: (vertices, 3) float64 [m].
         faces: (faces, 3) int64.
         contact: (vertices,) bool.
@@ -105,7 +105,7 @@ class RestBody:
 
     @cached_property
     def surface(self) -> PosedSurface:
-        """The part of the surface that contact is answered on."""
+        """The part of the surface that takes part in contact."""
         return TriangleSurface(self.faces, len(self.vertices), self.contact).at(self.vertices)
 
     @cached_property

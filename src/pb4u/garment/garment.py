@@ -94,7 +94,7 @@ class Garment:
     """A single-layer triangle mesh in its rest shape, worn by a body in its rest pose.
 
     Args:
-        name: what the user called it.
+        name: as given by the user.
         vertices: (vertices, 3) float64 rest positions [m], where they sit on the resting body.
         faces: (faces, 3) int64, counter-clockwise from outside.
         material: cloth of all faces; of several materials, the one of the largest area.
@@ -102,9 +102,9 @@ class Garment:
         uvs: (uv points, 2) float64 of the simulated mesh, or None.
         uv_faces: (faces, 3) int64 into `uvs`, or None.
         source: map to the author's mesh, or None where that is the simulated mesh itself.
-        loose: whether it hangs free of the nearest limb (dresses, skirts): skinning weights are then averaged widely.
-        coarse_edges: (edges, 2) int64 of each coarse level from fine to coarse, where its file brings them.
-        skinning: how it rides on the body, where its file says so; None borrows from the body.
+        loose: whether it hangs away from the nearest limb (dresses, skirts): skinning weights are then averaged widely.
+        coarse_edges: (edges, 2) int64 of each coarse level from fine to coarse, if its file has them.
+        skinning: its skinning weights from its file; None to take weights from the body.
         rest_uv: (faces, 3, 2) float64 corners of each face lying flat [m], of cloth that was cut flat and sewn. These
             triangles are then the rest shape, and `vertices` is only the position on the body. None where `vertices` is
             the rest shape.
@@ -122,12 +122,12 @@ class Garment:
         pieces: names of parts of its file, each once; by default those of its `appearances`.
         piece_of_face: (faces,) int64 which of the `pieces` each face belongs to, -1 for none; or None.
         springs: springs of its pins; None if pins hold exactly and are never released.
-        pressed: (faces,) bool, faces that are pressed over: along edges between them and others cloth bends as good as
+        pressed: (faces,) bool, faces that are ironed over: along edges between them and other faces cloth bends almost
             freely; None for none.
         buttons: (buttons,) int64 vertices that buttons close; None for none.
 
     Raises:
-        InputError: an array has another shape, or holds what cannot be used. Lists are converted to arrays.
+        InputError: an array has another shape, or unusable values. Lists are converted to arrays.
     """
 
     name: str

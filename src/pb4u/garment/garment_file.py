@@ -84,7 +84,7 @@ def authors_garment(path: str | Path, material: Material, most_triangles: int = 
 def fix_command(
     file: str | Path = "GARMENT.obj", body: str = DEFAULT_BODY, shape: Mapping[str, float] | None = None
 ) -> str:
-    """The command that mends a garment, for hints.
+    """The command that repairs a garment, for hints.
 
     Args:
         file: the garment's file.

@@ -43,7 +43,7 @@ def layered(garments: Sequence[Garment], body: RestBody) -> tuple[np.ndarray, ..
     smoothly, and remaining crossings are untangled. Cloth that cannot be untangled keeps its position.
 
     Args:
-        garments: inner first, each where it sits on the resting body; faces counter-clockwise from outside.
+        garments: inner first, each in its position on the resting body; faces counter-clockwise from outside.
         body: the body that wears them.
 
     Returns:

@@ -42,7 +42,7 @@ def with_limbs_inside(garment: Garment, body: ShapedBody | AnimatedBody) -> Garm
         body: the body that wears it; a body without bones is ignored.
 
     Raises:
-        InputError: a limb is through it still.
+        InputError: a limb still passes through it.
 
     Warns:
         InputWarning: it was pushed.

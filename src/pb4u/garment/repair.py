@@ -43,7 +43,7 @@ class Repaired(NamedTuple):
 
 
 def repair(source: PolygonMesh, body: ShapedBody | AnimatedBody | None = None) -> Repaired:
-    """Mend every mendable fault of a garment.
+    """Repair every repairable fault of a garment.
 
     Polygons and UVs are kept; vertex order too, unless vertices had to be welded or dropped. No more pairs of triangles
     cross than before.

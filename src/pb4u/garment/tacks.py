@@ -71,7 +71,7 @@ def buttoned(garment: Garment, count: int | None) -> Garment:
             None for none.
 
     Raises:
-        InputError: it is not open in front, its borders there are too far apart, or buttons are so from each other.
+        InputError: it is not open in front, or its borders there or the buttons are too far apart.
     """
     if count is None:
         return garment

@@ -20,7 +20,7 @@ def node_order(file: GltfFile) -> tuple[np.ndarray, tuple[int, ...]]:
         file: a glTF file.
 
     Raises:
-        ValueError: a node has two parents, or nodes hang on each other in a circle.
+        ValueError: a node has two parents, or the hierarchy has a cycle.
     """
     entries = file.entries("nodes")
     parents = np.full(len(entries), -1, dtype=np.int64)
@@ -108,7 +108,7 @@ def influences(file: GltfFile, attributes: dict[str, int], vertices: int, joints
         (vertices, influences) int64, and (vertices, influences) float64 [1].
 
     Raises:
-        ValueError: a vertex hangs on a joint that is not there, or has no weight.
+        ValueError: a vertex is bound to a missing joint, or has no weight.
     """
     sets = range(sum(name.startswith("JOINTS_") for name in attributes))
     places = np.concatenate([file.array(attributes[f"JOINTS_{k}"]) for k in sets], axis=1).astype(np.int64)
@@ -131,7 +131,7 @@ def placed(
 
     Args:
         file: a glTF file.
-        node: that the mesh hangs on.
+        node: the node of the mesh.
         attributes: of the primitive.
         still: (nodes, 4, 4) as `node_transforms` gives them.
         positions: (vertices, 3) as the primitive has them.

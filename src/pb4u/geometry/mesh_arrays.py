@@ -58,7 +58,7 @@ def checked_faces(owner: str, faces: ArrayLike, count: int, what: str = "faces")
         what: name of the faces, for the message.
 
     Raises:
-        InputError: another shape, no whole numbers, or a vertex that is not there.
+        InputError: another shape, no whole numbers, or a vertex that does not exist.
     """
     array = as_numbers(owner, what, faces)
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):
@@ -82,7 +82,7 @@ def checked_uvs(owner: str, uvs: ArrayLike, uv_faces: ArrayLike, faces: int) -> 
         faces: number of faces.
 
     Raises:
-        InputError: another shape, no whole numbers, or a point that is not there.
+        InputError: another shape, no whole numbers, or a point that does not exist.
     """
     points = as_numbers(owner, "uvs", uvs)
     if points.ndim != 2 or points.shape[1] != 2:
@@ -104,7 +104,7 @@ def checked_places(owner: str, what: str, places: ArrayLike, rows: int, count: i
         count: entries of the list.
 
     Raises:
-        InputError: another shape, no whole numbers, or an entry that is not there.
+        InputError: another shape, no whole numbers, or an index out of range.
     """
     array = as_numbers(owner, what, places)
     if array.shape != (rows,) or array.dtype.kind not in "iu":

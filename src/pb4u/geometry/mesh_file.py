@@ -40,7 +40,7 @@ class PolygonMesh:
         uvs: (uv points, 2) float64 or None.
         polygon_uvs: UV indices of each polygon's corners, or None.
         appearances: colours and images of the polygons, where the file has any.
-        pieces: names that the file gives to polygons, each once, whatever they look like.
+        pieces: names that the file gives to polygons, each once.
         piece_of_polygon: (polygons,) int64 which of the `pieces` each polygon belongs to, -1 for none; or None.
         lines: (lines, 2) int64 vertices joined by separate lines in the file, or None.
         objects: names of the objects of the file.

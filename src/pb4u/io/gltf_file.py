@@ -131,7 +131,7 @@ def read_gltf(path: Path) -> GltfFile:
         path: the .glb, .vrm or .gltf.
 
     Raises:
-        InputError: it is none, is cut short, lacks a buffer, or is compressed by Draco or meshopt.
+        InputError: it is not a glTF file, is cut short, lacks a buffer, or is compressed by Draco or meshopt.
     """
     with refusing(path, "is not a complete glTF file"):
         content = path.read_bytes()

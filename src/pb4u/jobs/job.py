@@ -126,7 +126,7 @@ def require_content(path: Path, expected: str) -> None:
         expected: its digest then.
 
     Raises:
-        InputError: it is absent, or its content is another.
+        InputError: it is absent, or its content has changed.
     """
     if not path.exists():
         raise InputError(f"The file {path} does not exist on the machine that needs it.")

@@ -209,7 +209,7 @@ class JobFolder:
 
         Args:
             jobs: every job of the run.
-            noun: what the jobs are called, in the plural.
+            noun: name of the jobs, in the plural.
             retry: include jobs that failed before.
             say: called with a sentence on how many are done, failed and to do.
             plan_only: only count the jobs, and keep the records of failures.
@@ -276,7 +276,7 @@ class JobFolder:
         Args:
             jobs: every job of the run.
             missing: result of `still_to_do`, or packs of these jobs, in the order to start them.
-            noun: what the jobs are called, in the plural.
+            noun: name of the jobs, in the plural.
             pool: makes the workers; called only where there are jobs.
             progress: opens a display for a label.
             finish: called at the end.

@@ -63,7 +63,7 @@ class JobPlanner:
             excess: measure excess heights too.
 
         Raises:
-            InputError: a name or a file that the run needs is not there, or its model cannot be had so.
+            InputError: a name or a file that the run needs does not exist, or its model does not support the options.
         """
         self._require_names(run)
         model = self.model(run)
@@ -82,7 +82,7 @@ class JobPlanner:
             run: its scene is ignored.
 
         Raises:
-            InputError: there is none, or it cannot be had so.
+            InputError: there is no such model, or it does not support the options.
         """
         if run.options not in self._models:
             self._models[run.options] = _resolved(run)

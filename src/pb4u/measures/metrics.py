@@ -60,8 +60,8 @@ def measure(
     """Metrics of a trajectory, as the command line reports them.
 
     Args:
-        trajectory: frames as written; the energies of a frame are those of the step that led to it. The first frame
-            has none and is judged standing still: its inertia and friction are 0.
+        trajectory: frames as written; the energies of a frame are those of the step that led to it. The first frame has
+            none and is measured as if at rest: its inertia and friction are 0.
         skinned: as `skinned_centres`, or (frames, 3) of one garment [m]; without it falling off is not detected.
         progress: called with (frames done, frames in all).
         contact: whether to measure penetration, visible skin and crossings, which takes most of the time.
@@ -291,7 +291,7 @@ class FrameMetrics(NamedTuple):
 
 
 class Ruler:
-    """Measures single frames; holds everything about a trajectory that measuring needs once.
+    """Measures single frames; stores the data of a trajectory that all measurements share.
 
     Args:
         trajectory: to measure.
@@ -370,7 +370,7 @@ class Ruler:
         return metrics
 
     def step(self, t: int, x: Tensor) -> TimeStep:
-        """The step that led to frame t and `x` (vertices, 3) [m]; frame 0 is judged standing still.
+        """The step that led to frame t and `x` (vertices, 3) [m]; frame 0 is measured as if at rest.
 
         Args:
             t: number of the frame.

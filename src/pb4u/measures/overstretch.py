@@ -18,7 +18,8 @@ _TOLD_FROM = 0.01
 def overstretched_sentences(trajectory: Trajectory) -> list[str]:
     """A sentence for each garment of which, in some frame, more than 1 % is stretched to twice the limit of its cloth.
 
-    Stretch is that of the threads, along warp and weft. Cloth without a limit is not judged, nor what skinning moves.
+    Stretch is that of the threads, along warp and weft. Cloth without a limit is ignored, and so is cloth moved by
+    skinning.
 
     Args:
         trajectory: frames as written.

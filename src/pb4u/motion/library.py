@@ -108,7 +108,7 @@ def read_recording(path: Path, person: str | None = None, recorded_fps: float | 
 
     Args:
         path: the file; its suffix, one of `READERS`, says how it is read.
-        person: whom of a file of several people.
+        person: the person to read from a file of several.
         recorded_fps: frames per second; overrides the rate stated or assumed for the file.
 
     Raises:
@@ -135,7 +135,7 @@ def read_pickled_motion(path: Path, person: str | None = None) -> Recording:
 
     Args:
         path: the .pkl.
-        person: whom of a file of several people.
+        person: the person to read from a file of several.
 
     Raises:
         InputError: it is neither, or a part is missing or does not fit.

@@ -30,11 +30,11 @@ class Motion(ABC):
     """A motion that any supported skeleton can perform.
 
     Args:
-        name: what the user called it.
+        name: as given by the user.
         duration: length [s]; None for a procedural clip, which has no end.
         notes: plain sentences on what was repaired or ignored while reading (may be empty).
         arms_away_degrees: angle by which hanging arms are swung outward, to keep them clear of loose garments. None: as
-            the motion has them; arms of a recording by as much as they would go into the body.
+            in the motion; arms of a recording are swung out as far as they would enter the body.
     """
 
     def __init__(

@@ -19,7 +19,7 @@ class Recording:
     """World rotations of a recorded skeleton from its own reference pose; lengths in any unit, Y up.
 
     Args:
-        name: what the user called it.
+        name: as given by the user.
         source: how its bones play the roles.
         skeleton: the reference pose, facing +Z.
         poses: the performance.
@@ -170,7 +170,7 @@ _RATES = (0.1, 1e5)
 
 
 def require_rate(fps: float, path: Path) -> None:
-    """Refuse a frame rate that nothing was recorded at.
+    """Refuse an impossible frame rate.
 
     Args:
         fps: frames per second.

@@ -32,7 +32,7 @@ _START_FRAMES, _START_SPEED = 6, np.deg2rad(3000.0)
 
 
 def without_flips(recording: Recording) -> Recording:
-    """The recording with flips mended: joints that jump, or turn faster than a limb can, are led over it by slerp.
+    """The recording with flips repaired: where joints jump, or turn faster than a limb can, slerp bridges these frames.
 
     Repairs are counted in `Recording.notes`.
 
@@ -81,7 +81,7 @@ def without_false_start(recording: Recording) -> Recording:
 
 
 def with_leap_notes(recording: Recording) -> Recording:
-    """The recording with a note where the whole body leaps farther in a frame than a person can; nothing is mended.
+    """The recording with a note where the whole body leaps farther in a frame than a person can; nothing is repaired.
 
     Args:
         recording: the recording.

@@ -38,7 +38,7 @@ def wham_recording(path: Path, content: Mapping[Any, Any], person: str | None) -
         person: key of the person; optional if there is only one.
 
     Raises:
-        InputError: it is of nobody, has no such person or several of whom none is chosen, or a part does not fit.
+        InputError: it has no person, not the given one, or several without a choice, or a part does not fit.
     """
     people = {str(number): entry for number, entry in content.items()}
     if not people:

@@ -221,7 +221,7 @@ class PreparedGarments:
 
 
 def require_propagation_steps(number: int) -> None:
-    """Refuse a number of propagation steps that no mesh calls for.
+    """Refuse a number of propagation steps out of range.
 
     Args:
         number: the number K.
@@ -266,7 +266,7 @@ class AccelerationModel(nn.Module):
 
         Args:
             garments: on the device to compute on.
-            propagation_steps: overrides what the resolution asks for.
+            propagation_steps: overrides the number that follows from the resolution.
             dtype: precision of features and accelerations.
 
         Raises:

@@ -110,8 +110,8 @@ class GraphBuilder:
             origins: (worlds, 3) subtracted from the positions of each world before they are rounded to the graph's
                 precision [m].
             extra: (vertices, width) node features that the layout names as `extra`, each in the unit of its `Feature`.
-            pin_positions: (vertices, 3) where pinned vertices will be after the step [m], or None where that is open;
-                other rows are not read.
+            pin_positions: (vertices, 3) where pinned vertices will be after the step [m], or None if unknown; other
+                rows are not read.
 
         Raises:
             InputError: an extra feature of the layout is absent or of another width.

@@ -135,7 +135,7 @@ class MaterialRange:
 
 @dataclass(frozen=True)
 class FeatureLayout:
-    """Columns that a network reads, in order.
+    """Feature columns that a network gets as input, in order.
 
     Args:
         node: names from `NODE_FEATURES`.

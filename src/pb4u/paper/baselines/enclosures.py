@@ -24,10 +24,10 @@ class Enclosures:
     """Vertices that intersection contours enclose, a column a contour.
 
     Args:
-        enclosed: (vertices, columns) bool, vertices on the smaller side of where the surface is cut apart.
+        enclosed: (vertices, columns) bool, vertices on the smaller side of the cut surface.
         reached: (vertices, columns) bool, vertices of the touched faces.
         touched: (faces, columns) bool, faces that the contour passes through or that have an enclosed vertex.
-        at_open: (vertices,) bool, vertices at a contour that cuts nothing apart, as far as the rule counts them.
+        at_open: (vertices,) bool, vertices at a contour that separates nothing, as far as the rule counts them.
     """
 
     enclosed: csr_matrix
