@@ -237,7 +237,7 @@ def test_an_empty_folder_and_mixed_kinds_are_refused(tmp_path: Path, box: tuple[
         ({"fps": 0.0}, "positive"),
         ({"fps": np.array(["fast"])}, "fps holds <U4, not numbers"),
         ({"contact": np.ones(5, dtype=bool)}, "contact has the shape"),
-        ({"scale": 1e5}, "no person in any unit that is known; say which with --body-units"),
+        ({"scale": 1e5}, "no person in any known unit; say which with --body-units"),
         ({"scale": 13.5}, "a person in inches or in decimetres; say which with --body-units"),
     ],
 )

@@ -170,7 +170,7 @@ def test_what_stays_after_a_mend_is_said_and_ends_with_1(pb4u: Callable, tmp_pat
     assert "m.obj was not written: it would still be refused" in ended.err
     assert "stays: 1 edge(s) are shared by three or more faces" in ended.out
     assert "tried: Dropped 1 face(s)" in ended.out
-    assert "mended:" not in ended.out
+    assert "repaired:" not in ended.out
     garment = json.loads((tmp_path / "r.json").read_text())["garment"]
     assert "Dropped 1 face(s)" in garment["mended"][0]
     assert {f["code"] for f in garment["findings"]} >= {"non-manifold", "duplicate"}
@@ -188,7 +188,7 @@ def test_what_a_mended_file_is_without_is_said(pb4u: Callable, tmp_path: Path) -
     file.write_text(named)
     ended = pb4u("check", file, "--fix", tmp_path / "m.obj", "--json", "-")
     assert json.loads(ended.out)["garment"]["left"] == [
-        "Its groups, object names, vertex colours, materials without an MTL are not in the mended file."
+        "Its groups, object names, vertex colours, materials without an MTL are not in the repaired file."
     ]
 
 
@@ -212,9 +212,9 @@ def test_a_mend_that_leaves_nothing_ends_with_0(pb4u: Callable, tmp_path: Path) 
     ended = pb4u("check", file, "--body", "man", "--fix", tmp_path / "m.obj")
     assert ended.code == 0, ended.err
     lines = ended.out.splitlines()
-    assert lines[0].startswith("mended: Scaled by 0.01")
+    assert lines[0].startswith("repaired: Scaled by 0.01")
     assert lines[-1] == f"written: {tmp_path / 'm.obj'}"
-    assert {line.partition(":")[0] for line in lines} <= {"mended", "not mended", "stays", "written"}
+    assert {line.partition(":")[0] for line in lines} <= {"repaired", "not repaired", "stays", "written"}
 
 
 def test_the_command_that_mends_is_said_once(pb4u: Callable, tmp_path: Path) -> None:
@@ -226,7 +226,7 @@ def test_the_command_that_mends_is_said_once(pb4u: Callable, tmp_path: Path) -> 
     assert "Fix: scale it by 0.01." in ended.out
     command = f"`pb4u check {file} --body man --fix OUT.obj`"
     assert ended.out.count(command) == 1
-    assert ended.out.splitlines()[-1].endswith(f"mend: {command}.")
+    assert ended.out.splitlines()[-1].endswith(f"safely: {command}.")
     found = json.loads((tmp_path / "r.json").read_text())["garment"]["findings"]
     assert sum(command in each["fix"] for each in found) > 1, "a report for programs keeps it with each"
 

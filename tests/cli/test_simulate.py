@@ -115,11 +115,11 @@ def test_a_limb_through_the_cloth_is_warned_of_with_and_without_a_report(
         searched.clear()
         ended = pb4u(*flags, *report)
         assert searched == [0, 1], "each frame once"
-        assert "Limbs have gone through the cloth from frame 0 on" in ended.err
+        assert "Limbs have passed through the cloth from frame 0 on" in ended.err
         assert ended.err.count("skinning has no physics, --model quick-solver has") == 1
         assert "--triangles" not in ended.err
     assert json.loads((tmp_path / "r.json").read_text())["limbs_through_cloth"][0]["triangles"] == 5000
-    assert "Limbs have gone through the cloth" in json.loads((tmp_path / "r.json").read_text())["notes"][-1]
+    assert "Limbs have passed through the cloth" in json.loads((tmp_path / "r.json").read_text())["notes"][-1]
 
 
 def test_tells_the_files_that_it_wrote_when_they_are_there(

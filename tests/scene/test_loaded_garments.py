@@ -194,6 +194,6 @@ def test_all_that_is_said_of_a_garment_is_among_the_notes_of_its_scene(woman: Sh
         warnings.simplefilter("always")
         scene = make_scene(file, woman, frames=1, lead_in=0)
     said = [str(each.message) for each in caught]
-    assert any("1 face(s) are there twice" in sentence for sentence in said)
+    assert any("1 face(s) exist twice" in sentence for sentence in said)
     assert any("1 vertices belong to no face" in sentence for sentence in said)
     assert list(scene.notes) == list(dict.fromkeys(said))

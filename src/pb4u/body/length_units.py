@@ -50,7 +50,7 @@ def body_unit(file: object, extent: float, unit: str | None = None) -> tuple[str
         people = grown = ["metres"]
     units = grown or people
     if len(units) != 1:
-        likely = f"a person in {' or in '.join(units)}" if units else "no person in any unit that is known"
+        likely = f"a person in {' or in '.join(units)}" if units else "no person in any known unit"
         raise InputError(
             f"{file}: the body measures {shown} in its own unit, {likely}; say which with --body-units (in Python "
             f"units=), one of {', '.join(UNITS)}, or scale it to metres."
@@ -58,7 +58,7 @@ def body_unit(file: object, extent: float, unit: str | None = None) -> tuple[str
     if units == ["metres"]:
         return "metres", None
     return units[0], (
-        f"it measures {shown}, so it is taken to be in {units[0]}, {extent * UNITS[units[0]]:.2f} m; --body-units says "
+        f"it measures {shown}, so it is read in {units[0]}, {extent * UNITS[units[0]]:.2f} m; --body-units says "
         "otherwise."
     )
 

@@ -194,7 +194,7 @@ def _check_garment(name: str, figure: Any, body: str, triangles: int | None, fix
     if fix is not None:
         mended, changes, remarks = repair(source, figure)
         if lost := left_out(Path(name), source) if Path(name).suffix.lower() == ".obj" else []:
-            remarks = (*remarks, f"Its {', '.join(lost)} are not in the mended file.")
+            remarks = (*remarks, f"Its {', '.join(lost)} are not in the repaired file.")
         remaining = diagnose(mended, figure, fix, body)
         # A file of this name is taken for a garment that can be worn.
         if not remaining.is_refused:
@@ -239,12 +239,12 @@ def _lines(garment: dict[str, Any], fix: Path | None, body: str) -> list[str]:
             lines.append(f"parts, for `--material NAME.PART=MATERIAL`: {', '.join(parts)}.")
         if any(finding["mendable"] for finding in garment["findings"]):
             lines.append(f"To repair what can be repaired safely: {command}.")
-        return lines if garment["findings"] else [f"{garment['name']}: nothing to mend.", *lines]
+        return lines if garment["findings"] else [f"{garment['name']}: nothing to repair.", *lines]
     remaining = [finding for finding in garment["remaining"]["findings"] if finding["severity"] != "note"]
     command, refused = fix_command(fix, body), garment["remaining"]["refused"]
     # Nothing is mended in a file that was not written.
-    lines = [f"{'tried' if refused else 'mended'}: {sentence}" for sentence in garment["mended"]]
-    lines += [f"not mended: {sentence}" for sentence in garment["left"]]
+    lines = [f"{'tried' if refused else 'repaired'}: {sentence}" for sentence in garment["mended"]]
+    lines += [f"not repaired: {sentence}" for sentence in garment["left"]]
     lines += [f"stays: {line_of(finding)}" for finding in remaining]
     return lines if refused else [*lines, f"written: {fix}"]
 

@@ -200,7 +200,10 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
         pairs = self_crossings(garment.vertices, garment.faces, sharing=True)
         owner = np.zeros(len(garment.vertices), dtype=np.int64)
         for tangle in tangles(["The garment"], owner, garment.vertices, garment.faces, pairs):
-            fix = "mend it where it was made; simulation untangles its start where cloth feels cloth"
+            fix = (
+                "repair it in the program it comes from; otherwise a simulation with self-contact untangles it at "
+                "its start"
+            )
             findings.append(Finding("self-crossing", Severity.WARNING, f"{tangle}.", fix))
     if placed and support is not None:
         source = garment.source

@@ -122,8 +122,8 @@ def untangled_start(garments: Sequence[Garment], positions: np.ndarray) -> np.nd
     remaining = tangles([garment.name for garment in garments], owner, start.vertices, faces, start.crossings)
     text = "; ".join(map(str, remaining[:3])) + (f"; and {len(remaining) - 3} more" if len(remaining) > 3 else "")
     mend = (
-        "mend it where it was made"
+        "repair it in the program it comes from"
         if all(tangle.garments[0] == tangle.garments[1] for tangle in remaining)
-        else "wear them in another order"
+        else "give the garments in another order"
     )
     raise InputError(f"The starting position cannot be untangled: {text}; {mend}, or simulate with --self-contact off.")

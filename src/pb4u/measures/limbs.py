@@ -209,7 +209,11 @@ class LimbWatch:
         sentences, contact = list[str](), self.header.metadata.get("contact", True)
         for garment in dict.fromkeys(self.needs[bone][0] for bone in bones):
             group = [bone for bone in bones if self.needs[bone][0] == garment]
-            advice = self._advice(group, garment, counts) if contact else "nothing holds it: leave out --contact off"
+            advice = (
+                self._advice(group, garment, counts)
+                if contact
+                else "nothing keeps it off the body: leave out --contact off"
+            )
             verb = "are" if len({plain_name(bone) for bone in group}) > 1 else "is"
             through = f"Frame {frame}: {plain_names(group)} {verb} through the {garment}"
             sentences.append(f"{through}{': ' if advice else ''}{advice}.")
@@ -294,7 +298,10 @@ def limbs_sentence(limbs: Sequence[dict[str, Any]], trajectory: Trajectory) -> s
         longest.setdefault(plain_name(limb["bone"]), limb["frames"])
     names = ", ".join(f"the {name} ({count})" for name, count in list(longest.items())[:4])
     more = f" and {len(longest) - 4} more" if len(longest) > 4 else ""
-    through = f"Limbs have gone through the cloth from frame {first} on, in so many of {frames} frames: {names}{more}"
+    through = (
+        f"Limbs have passed through the cloth from frame {first} on, each with its number of frames of "
+        f"{frames}: {names}{more}"
+    )
     if not has_physics(trajectory.header):
         return f"{through}; skinning has no physics, --model quick-solver has."
     if not trajectory.header.metadata.get("contact", True):
@@ -304,6 +311,6 @@ def limbs_sentence(limbs: Sequence[dict[str, Any]], trajectory: Trajectory) -> s
         if limb["triangles"]:
             enough[limb["garment"]] = max(enough.get(limb["garment"], 0), limb["triangles"])
     flag = _triangles_flag(enough, len(trajectory.header.garments))
-    finer = f"; {flag} makes the cloth fine enough for them" if enough else ""
-    arms = "; --arms-away 8 holds arms off the body" if any(ARM.search(limb["bone"]) for limb in limbs) else ""
+    finer = f"; {flag} makes the cloth fine enough for these limbs" if enough else ""
+    arms = "; --arms-away 8 swings arms away from the body" if any(ARM.search(limb["bone"]) for limb in limbs) else ""
     return f"{through}{finer}{arms}."

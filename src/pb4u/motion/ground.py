@@ -129,8 +129,8 @@ def _without_drift(recording: Recording) -> Recording:
         return recording
     roots = recording.poses.root_positions - drift[:, None] / recording.metres * np.array([0.0, 1.0, 0.0])
     note = (
-        f"{recording.name}: the floor drifts by {100 * np.ptp(drift):.0f} cm over the recording, as the feet tell that "
-        "stand on it; the body is kept on it."
+        f"{recording.name}: standing feet show that the floor drifts by {100 * np.ptp(drift):.0f} cm over the "
+        "recording; the drift is removed."
     )
     return replace(recording, poses=replace(recording.poses, root_positions=roots), notes=(*recording.notes, note))
 

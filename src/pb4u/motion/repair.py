@@ -76,7 +76,10 @@ def without_false_start(recording: Recording) -> Recording:
     if not bad.any():
         return recording
     first = int(np.flatnonzero(bad)[-1]) + 1
-    note = f"{recording.name}: the first {first} frame(s) are left out: the joints leap from them into what follows."
+    note = (
+        f"{recording.name}: the first {first} frame(s) are left out: the joints leap between them and the "
+        "following frames."
+    )
     return replace(recording.cropped(first, len(recording.poses)), notes=(*recording.notes, note))
 
 

@@ -71,7 +71,7 @@ def refuse_narrow(mesh: PatternMesh, body: ShapedBody, placed: np.ndarray) -> No
     waist = trunk_girths(body)["waist"][1]
     if len(clouds) and high.max() < form.crotch:
         raise InputError(
-            f"{pattern.name} lies too low for {body.name}: its highest panel, "
+            f"{pattern.name} is placed too low for {body.name}: its highest panel, "
             f"{pattern.panels[trunk[high.argmax()]].name}, ends {100 * high.max():.0f} cm above the floor, and the "
             f"crotch is at {100 * form.crotch:.0f} cm; {_REMEDY}"
         )

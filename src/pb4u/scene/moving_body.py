@@ -132,7 +132,7 @@ def _perform(body: ShapedBody, run: Run) -> Performance:
             return _perform_clip(body, run)
         if not body.is_human:
             raise InputError(
-                f"{body.name} performs its own clips alone: its bones are not a human's; leave out --motion."
+                f"{body.name} can perform only its own clips, because its bones are not a human's; leave out --motion."
             )
     if isinstance(body, Character) and run.clip is not None:
         raise InputError(f"{body.name} can perform either its clip {run.clip} or --motion; leave one out.")
@@ -185,8 +185,8 @@ def _play(body: VertexSequence, run: Run) -> Performance:
     stands = len(body.vertices) == 1
     motion, by_itself = run.motion, f"{body.name} is a sequence of vertices that moves by itself"
     if stands:
-        by_itself = f"{body.name} is a mesh without bones, which stands still"
-    _refuse_changes(run, by_itself, "change the sequence where it comes from", ("crop", "arms_away"))
+        by_itself = f"{body.name} is a mesh without bones, which does not move"
+    _refuse_changes(run, by_itself, "change the sequence in the program it comes from", ("crop", "arms_away"))
     if run.recorded_fps is not None:
         body = body.recorded_at(run.recorded_fps)
     if motion is not None:
@@ -222,7 +222,7 @@ def _frames(run: Run, name: str, available: int | None) -> int:
     if run.frames is None:
         return available or DEFAULT_FRAMES
     if available is not None and run.frames > available:
-        there = f"{run.frames} are wanted, {available} are there"
+        there = f"{run.frames} are requested, {available} exist"
         warn(f"{name} ends after {available} frames at {run.fps:g} fps; {there}.")
         return available
     return run.frames
