@@ -261,7 +261,7 @@ def test_a_file_in_another_unit_is_told(tmp_path, height):
 
     body = loaded(write_woman(tmp_path / "a.glb", change=grow, clips=()))
     assert body.height == pytest.approx(load_body("woman").height, rel=0.01)
-    assert any("so it is taken to be in" in note for note in body.notes)
+    assert any("so it is read in" in note for note in body.notes)
 
 
 def test_a_pose_that_is_not_the_bind_pose_is_no_matter(tmp_path, woman_file):

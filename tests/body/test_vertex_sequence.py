@@ -347,7 +347,7 @@ def test_centimetres_are_told_by_the_size_of_a_person(tmp_path):
 def test_the_unit_that_is_given_is_taken(tmp_path):
     box = trimesh.creation.box((0.5, 1.7, 0.3))
     write_vertex_sequence(tmp_path / "giant.npz", 5.0 * np.stack([box.vertices] * 2), box.faces, 30.0)
-    with pytest.warns(InputWarning, match=r"measures 8.5, so it is taken to be in decimetres, 0.85 m; --body-units"):
+    with pytest.warns(InputWarning, match=r"measures 8.5, so it is read in decimetres, 0.85 m; --body-units"):
         load_body(tmp_path / "giant.npz")
     giant = load_body(tmp_path / "giant.npz", units="metres")
     assert np.ptp(giant.positions(0, 1).numpy(), axis=1).max() == pytest.approx(8.5)

@@ -406,7 +406,7 @@ def test_a_report_has_all_that_was_said_and_the_share_of_skin_out_of_contact(pb4
     ended = pb4u("check", file, "--body", tmp_path / "scan.obj", "--json", tmp_path / "r.json")
     report = json.loads((tmp_path / "r.json").read_text())
     (note,) = report["notes"]
-    assert "it measures 170, so it is taken to be in centimetres" in note
+    assert "it measures 170, so it is read in centimetres" in note
     assert note in ended.err
     assert report["body"] == {"name": "scan", "out_of_contact_percent": 0.0}
     ended = pb4u("check", file, "--body", tmp_path / "scan.obj", "--body-units", "metres")
