@@ -83,7 +83,7 @@ def test_every_configuration_survives_json():
 def test_a_cut_file_is_refused(saved, kept):
     content = saved.read_bytes()
     saved.write_bytes(content[:kept])
-    with pytest.raises(InputError, match="no whole safetensors file"):
+    with pytest.raises(InputError, match="not a complete safetensors file"):
         load_checkpoint(saved)
 
 

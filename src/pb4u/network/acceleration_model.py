@@ -111,7 +111,7 @@ class NetworkConfiguration(ABC):
             if isinstance(value, int) and not 0 <= value <= MOST_COUNTED:
                 raise InputError(f"network.{entry.name} must be from 0 to {MOST_COUNTED}, not {value}.")
         if self.passes < 1:
-            raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
+            raise InputError(f"A network needs at least 1 pass a step, not {self.passes}.")
         if self.further_passes and not self.conjugate:
             raise InputError(
                 "further_passes needs conjugate passes: only their line search can tell whether another "
