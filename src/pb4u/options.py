@@ -169,7 +169,7 @@ def require_value(entry: Entry, value: object, name: str) -> None:
     Args:
         entry: the field.
         value: for it.
-        name: what the user calls the field.
+        name: name of the field for the user.
 
     Raises:
         InputError: the value does not fit.
@@ -222,7 +222,7 @@ def _wanted(entry: Entry) -> str:
 
 
 def is_whole(value: object) -> bool:
-    """Whether a value is a whole number, be it Python's or numpy's; a switch is none.
+    """Whether a value is a whole number of Python or numpy; booleans are not.
 
     Args:
         value: anything.

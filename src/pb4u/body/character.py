@@ -36,7 +36,7 @@ class Morph:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """What moves a character.
+    """The bones, nodes and morph targets that move a character.
 
     Args:
         tree: the nodes of its file.
@@ -59,7 +59,7 @@ class Character(ShapedBody):
     retargeted to it; its own clips move it exactly as the file says.
 
     Args:
-        rig: what moves it.
+        rig: the bones, nodes and morph targets that move it.
         clip: the clip that it performs; None if its file has no clip.
         clip_names: names of all clips of its file.
         notes: plain sentences on omitted parts and repairs.

@@ -37,7 +37,7 @@ class Skeleton:
             name: of the bone.
 
         Raises:
-            ValueError: there is none.
+            ValueError: there is no such entry.
         """
         return self.names.index(name)
 

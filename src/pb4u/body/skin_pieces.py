@@ -36,7 +36,7 @@ def skin_vertices(surface: CharacterSurface, limbs: np.ndarray) -> np.ndarray:
 
     Args:
         surface: all meshes that may be skin, in the bind pose, not welded.
-        limbs: (bones,) int64 number of the limb or head of each bone; -1 of none.
+        limbs: (bones,) int64 number of the limb or head of each bone; -1 for none.
     """
     welded, number = surface.welded()
     topology = Topology(welded.faces, len(welded.vertices))

@@ -89,7 +89,7 @@ def tell(payload: Mapping[str, Any], target: str | None, sentence: str) -> None:
     Args:
         payload: the result.
         target: of `--json`.
-        sentence: what the verb did.
+        sentence: sentence on the result of the verb.
 
     Raises:
         InputError: the file cannot be written.
@@ -112,7 +112,7 @@ def write_json(payload: Mapping[str, Any], target: str | None) -> None:
     """Write JSON to a file, or to standard output; numbers that are not finite become null.
 
     Args:
-        payload: what is written.
+        payload: data to write.
         target: of `--json`: path of the file, or "-" for standard output; None for neither.
 
     Raises:

@@ -72,7 +72,7 @@ def pushed_out(positions: Tensor, body: ColliderPose, factor: float) -> Tensor:
 
     Args:
         positions: (vertices, 3) [m].
-        body: where the bodies are.
+        body: pose of the bodies.
         factor: on the missing distance to `CLEARANCE`.
     """
     (surface,) = body.whole_surfaces

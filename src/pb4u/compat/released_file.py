@@ -185,6 +185,8 @@ def reordered(weight: Tensor, names: Sequence[str], order: Sequence[str]) -> Ten
         InputError: its columns are not those of as many parts.
     """
     if weight.shape[1] % len(names):
-        raise InputError(f"A block reads {weight.shape[1]} columns, which are not {len(names)} latents.")
+        raise InputError(
+            f"A block has {weight.shape[1]} input columns, which cannot be divided into {len(names)} latents."
+        )
     parts = dict(zip(names, weight.chunk(len(names), dim=1), strict=True))
     return torch.cat([parts[name] for name in order], dim=1)

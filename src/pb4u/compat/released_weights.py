@@ -50,7 +50,7 @@ class ReleasedWeights:
         preset: name of the released network.
         configuration: of our network with these weights.
         tensors: its state; float32 as in the file, float64 where something was folded.
-        record: what the file says about its training.
+        record: data of the file on its training.
         licence: as given by the user, else that it is unknown.
         dropped: keys in the file that nothing reads.
     """

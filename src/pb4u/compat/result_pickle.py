@@ -27,7 +27,7 @@ def write_result(trajectory: Trajectory, path: Path, progress: Progress) -> None
     """Write {pred, obstacle, cloth_faces, obstacle_faces, metrics}; the metrics are left empty.
 
     Args:
-        trajectory: what is written.
+        trajectory: to write.
         path: file to write.
         progress: called with (frames done, frames in all), before and after.
     """

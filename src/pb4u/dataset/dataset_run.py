@@ -42,7 +42,7 @@ def make_dataset(
     """Simulate the clips of many runs into a folder, continuing where an earlier run stopped, and write its index.
 
     Args:
-        runs: what the clips are of.
+        runs: runs of the clips.
         out: the folder, created if absent.
         pool: makes the workers; called only where clips are missing.
         clips_per_shard: clips of one tar file, as WebDataset reads them; None keeps every clip a file of its own.

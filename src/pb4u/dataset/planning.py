@@ -35,7 +35,7 @@ def plan_clips(runs: Sequence[Run], half: bool, say: Callable[[str], None]) -> t
     """The clips of the runs, each once.
 
     Args:
-        runs: what a jobs file describes.
+        runs: runs that a jobs file describes.
         half: whether trajectories are kept in half precision.
         say: called with a sentence if some runs are equal.
 

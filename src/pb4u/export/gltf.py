@@ -196,7 +196,7 @@ class _Document(GltfDocument):
         return attributes
 
     def _panels(self, panels: SewnPanels, of_vertex: np.ndarray, corners: np.ndarray) -> int:
-        """The panel of each written vertex, a corner of faces `corners` (faces, 3); -1 of none."""
+        """The panel of each written vertex, a corner of faces `corners` (faces, 3); -1 for none."""
         of_written = np.full(len(of_vertex), -1.0, dtype="<f4")
         of_written[corners] = panels.of_face[:, None]
         return self.add(of_written, "SCALAR", FLOAT, ARRAY_BUFFER)

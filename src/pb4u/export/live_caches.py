@@ -53,7 +53,7 @@ class LiveCaches:
     """Point caches of a run's garments that grow during the run.
 
     Args:
-        folder: where they are written; the caches of an earlier run there are replaced.
+        folder: to write to; the caches of an earlier run there are replaced.
         header: of the trajectory that is computed.
         fps: frames per second that are written [1/s]; other than the header's, frames are interpolated as they arrive.
         frames: most frames to write; None for all.

@@ -36,7 +36,7 @@ class Format:
             mesh is written.
         finite: whether frames that are not finite are replaced first (`finite_frames`).
         drawn: whether it shows pictures; the writer takes a `view` then.
-        side_multiple: what the sides of its pictures are a multiple of [pixels].
+        side_multiple: number of which width and height of its pictures must be multiples [pixels].
     """
 
     suffixes: tuple[str, ...]
@@ -159,7 +159,7 @@ def written_files(path: Path, frames: int) -> tuple[Path, ...]:
 
 
 def would_overwrite(path: Path, file: Path) -> bool:
-    """Whether writing `path` replaces, or joins, what is read from `file`, a file or a folder of frames.
+    """Whether writing `path` replaces the input `file`, or adds to it if it is a folder of frames.
 
     Args:
         path: file to write, of a suffix in `WRITERS`.
@@ -295,7 +295,7 @@ def write_npz(trajectory: Trajectory, path: Path, progress: Progress) -> None:
     """Write the trajectory as it is, in one step.
 
     Args:
-        trajectory: what is written.
+        trajectory: to write.
         path: file to write.
         progress: not called.
     """

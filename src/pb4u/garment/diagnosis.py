@@ -180,7 +180,7 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
     Args:
         garment: the garment.
         body: the body meant to wear it.
-        file: where the garment was read from, named in the cures.
+        file: file of the garment, for the suggested commands.
         support: what holds it up; None if this is not reported, such as for a pinned garment.
 
     Raises:
@@ -219,8 +219,8 @@ def require_metres(
 
     Args:
         garment: as given.
-        body: the body meant to wear it, whose size says the unit; None where there is none.
-        file: where the garment was read from, named in the cures; None for arrays.
+        body: the body meant to wear it, whose size shows the unit; None without a body.
+        file: file of the garment, for the suggested commands; None for arrays.
 
     Raises:
         InputError: it is in other units.

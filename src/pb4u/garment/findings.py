@@ -41,7 +41,7 @@ class Finding:
     Args:
         code: short fixed name.
         severity: whether simulation refuses it, warns, or only has a note for it.
-        sentence: what and where.
+        sentence: the fault and its place.
         fix: how to mend it.
         mendable: whether `repair` does that.
         where: indices of the first vertices, faces or edges concerned, as the sentence says.

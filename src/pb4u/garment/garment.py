@@ -246,7 +246,7 @@ class Garment:
 
     @cached_property
     def parts(self) -> dict[str, np.ndarray]:
-        """Faces (faces,) bool by the name of a part: what its file calls materials, and the panels of its pattern."""
+        """Faces (faces,) bool by the name of a part: materials named in its file, and panels of its pattern."""
         masks: dict[str, np.ndarray] = {}
         if self.piece_of_face is not None:
             masks |= {name: self.piece_of_face == number for number, name in enumerate(self.pieces)}

@@ -77,7 +77,7 @@ class Material:
             angular frequency w loses the share 1 - exp(-pi damping_time w) of its amplitude in a period.
         friction: coefficient of friction on skin and on the ground.
         thickness: used only for contact and drawing [m].
-        source: where its numbers come from.
+        source: source of its numbers.
 
     Raises:
         InputError: a number is out of range, the membrane would have no resistance to some stretch, or its shear

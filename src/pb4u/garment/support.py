@@ -116,7 +116,7 @@ def _strap(
 
 
 class Support(NamedTuple):
-    """What holds a garment up.
+    """The part of a garment that holds it up.
 
     Args:
         name: "shoulders", "straps", "waistband" or "collar"; None for nothing.

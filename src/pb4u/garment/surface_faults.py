@@ -24,7 +24,7 @@ class Fault(NamedTuple):
 
     Args:
         code: short fixed name.
-        sentence: what and where.
+        sentence: the fault and its place.
         fix: how to mend it.
         meanwhile: how a simulation of the unrepaired mesh handles it.
         mendable: whether `repair` mends it.

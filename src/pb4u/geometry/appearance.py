@@ -27,7 +27,7 @@ class Appearance:
     """How some faces look.
 
     Args:
-        name: what its author called it.
+        name: as given by its author.
         colour: red, green and blue, sRGB [0 to 1]; multiplies the image.
         image: content of a PNG or JPEG file mapped by the UVs, v upward; or None.
     """
@@ -144,7 +144,7 @@ def sound_image(content: bytes, name: str) -> bytes:
 
     Args:
         content: of a file.
-        name: what the image is called in a refusal.
+        name: name of the image for error messages.
 
     Raises:
         InputError: it is not an image that can be read.

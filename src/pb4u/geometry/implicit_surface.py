@@ -75,7 +75,7 @@ class ImplicitSurface:
     """The part of {shape = 0} where cut < 0; outside is where the shape field is positive.
 
     Args:
-        lattice: where the fields are sampled.
+        lattice: sample points of the fields.
         shape: field (nx, ny, nz) [m], about a distance near its zero set.
         cut: field (nx, ny, nz) [m], about a distance near its zero set, or None for a closed surface.
     """

@@ -122,7 +122,7 @@ def read_obj_vertices(path: Path) -> tuple[np.ndarray, bytes]:
 
 
 def left_out(path: Path, mesh: PolygonMesh) -> list[str]:
-    """What an OBJ file holds that its mesh does not: groups, object names, vertex colours, materials without an MTL.
+    """Content of an OBJ file that is not in its mesh: groups, object names, vertex colours, materials without an MTL.
 
     Args:
         path: the file.

@@ -46,7 +46,7 @@ def stored_numbers(value: object, where: str | Path, name: str) -> np.ndarray:
     Args:
         value: whatever the file holds.
         where: the file, for the message.
-        name: what the value is called there.
+        name: name of the value there.
 
     Raises:
         InputError: it holds something else.

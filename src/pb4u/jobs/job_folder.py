@@ -44,7 +44,7 @@ class JobFolder:
 
     Args:
         path: the folder, created if absent.
-        kind: what such a folder is of, such as "an evaluation".
+        kind: purpose of such a folder, such as "an evaluation".
         settings: values that a continued run must share, by the name of their flag.
 
     Raises:

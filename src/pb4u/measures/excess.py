@@ -237,7 +237,7 @@ class Reference:
         potential: energies that count.
         timeline: garments and bodies, float64 on the CPU.
         states: states of its frames.
-        shared: every few frames, what methods are compared on.
+        shared: states, every few frames, on which methods are compared.
     """
 
     potential: IncrementalPotential

@@ -29,7 +29,7 @@ class Model(NamedTuple):
 
     Args:
         name: its name or file.
-        device: where it computes: "cpu" or "cuda".
+        device: "cpu" or "cuda".
         weights: SHA-256 of a network's weights; None for a model without weights.
         adapts: whether it has a number of propagation steps that can be set.
         fps: frame rate at which it must run [1/s]; None for any.
@@ -58,7 +58,7 @@ class JobPlanner:
 
         Args:
             run: to simulate.
-            label: what tables call its model.
+            label: name of its model in tables.
             keep: part of the trajectory to keep.
             excess: measure excess heights too.
 

@@ -49,11 +49,11 @@ class RunJob:
 
     Args:
         run: to simulate, with model and device by name.
-        label: what tables call its model.
+        label: name of its model in tables.
         contents: (value in `run`, file that is read for it, SHA-256 of the file); a result depends on the content of
             its files, not on their paths.
         weights: SHA-256 of a network's weights; None for a model without weights.
-        keep: what is kept of the trajectory: all in full or "half" precision, or "stills": the frame at `PICTURED`, and
+        keep: part of the trajectory to keep: all in full or "half" precision, or "stills": the frame at `PICTURED`, and
             the worst.
         excess: also measure what single steps leave on states shared by all models, and the distance from the solver's
             rollout; costs two solves a frame for each scene.

@@ -69,7 +69,7 @@ def find_asf(amc: Path) -> Path:
         amc: the trial.
 
     Raises:
-        InputError: there is none, or several without a match.
+        InputError: there is no skeleton, or several without a match.
     """
     beside = sorted(p for p in amc.parent.iterdir() if p.suffix.lower() == ".asf")
     subjects = (amc.stem, amc.stem.split("_")[0])

@@ -124,7 +124,7 @@ def role_rotations(performance: Performance, humanoid: Humanoid) -> np.ndarray:
     """Role rotations of a performance; legs are solved by inverse kinematics.
 
     Args:
-        performance: what the body does.
+        performance: movement of the body.
         humanoid: the body.
 
     Returns:

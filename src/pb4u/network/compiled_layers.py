@@ -44,7 +44,8 @@ class Ends:
     receivers: Incidence
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sender (edges,) int64 of each edge, any where there is none, and first edge (nodes + 1,) of each receiver."""
+        """Sender (edges,) int64 of each edge (arbitrary if it has none), and first edge (nodes + 1,) of each
+        receiver."""
         senders = self.receivers if self.senders is None else self.senders
         return senders.index.numpy(), self.receivers.offsets.numpy()
 

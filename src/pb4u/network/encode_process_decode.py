@@ -62,7 +62,7 @@ class EncodeProcessDecode(GraphNetwork):
         return nodes, {name: self.edge_encoders[s.kind](s.features) for name, s in graph.edges.items()}
 
     def node_inputs(self, graph: Graph) -> dict[str, Tensor]:
-        """What the encoder of nodes reads, (nodes, columns) [1] by set name: features, and embeddings of labels.
+        """Input of the encoder of nodes, (nodes, columns) [1] by set name: features, and embeddings of labels.
 
         Args:
             graph: features of nodes and edges.

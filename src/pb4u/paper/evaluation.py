@@ -26,7 +26,7 @@ def evaluate(
     """Run a protocol into a folder, continuing where an earlier run stopped, and write its report.
 
     Args:
-        request: what to run.
+        request: options of the run.
         out: folder of the run, created if absent.
         pool: makes the workers; called only where rollouts are missing.
         retry: try failed rollouts again.

@@ -30,7 +30,7 @@ class EvaluationRequest:
         contact: Push the garment out of the body after each step.
         device: Where networks compute: auto, cpu or cuda.
         floors: Reference energies: run the solver on scenes that lack a stored one, or use stored ones.
-        measure: Also measure excess, what single steps leave above their minimum, and the distance from the solver's
+        measure: Also measure excess, the energy of single steps above their minimum, and the distance from the solver's
             rollout: two solves a frame for each scene. `controls` always does.
         scenes: Scenes that robustness draws. Default: 64.
         seed: Seed of the scenes that robustness draws.

@@ -65,7 +65,7 @@ class Case:
 
     Args:
         level: name of the resolution.
-        motion: what the motion is called.
+        motion: name of the motion.
         seed: of a built-in motion; None for a recording.
         job: the rollout.
         floor: reference of the ratio: a rollout of the solver, the stored mean energies, or None.

@@ -34,7 +34,7 @@ class Protocol:
         reproduces: the table or figure of the paper that it reproduces, as a sentence.
         models: simulators by default; those without weights are left out, with a note.
         levels: resolutions, by name or number of triangles.
-        varied: what the tables and figures compare, in words.
+        varied: quantity that the tables and figures compare, in words.
         pictured: one moment of every model is drawn at the top level, on the first motion and body.
         garments: built-in names.
         motions: built-in motions, used without recordings.

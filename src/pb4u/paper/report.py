@@ -61,7 +61,7 @@ def write_report(planned: Plan, folder: JobFolder, request: EvaluationRequest) -
     """Write results.json, the plots, a page with tables of the finished rollouts, and these tables as CSV.
 
     Args:
-        planned: what the run consists of.
+        planned: rollouts and cases of the run.
         folder: with the results, and for the report.
         request: options of the evaluation.
 

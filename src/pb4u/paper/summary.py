@@ -104,7 +104,7 @@ def spread(values: Iterable[float | None]) -> Spread | None:
     """The spread of the values there are; None where there are none.
 
     Args:
-        values: numbers, or None where there is none.
+        values: numbers, or None for a missing one.
     """
     present = [value for value in values if value is not None]
     if not present:
@@ -274,7 +274,7 @@ class Summary:
     """A run in figures.
 
     Args:
-        plan: what the run consists of.
+        plan: rollouts and cases of the run.
         rows: every case with its result or failure.
         failures: (job, sentence) of the failed rollouts, those of references included.
         still: path of the kept frame of a job.
@@ -347,7 +347,7 @@ def summarise(plan: Plan, folder: JobFolder) -> Summary:
 
     Args:
         plan: rollouts and cases of the run.
-        folder: where its results are.
+        folder: folder with its results.
     """
     results = {job.key: folder.result(job) for job in plan.jobs}
     failures = {job.key: folder.failure(job) for job in plan.jobs if results[job.key] is None}

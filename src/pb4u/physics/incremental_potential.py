@@ -80,7 +80,7 @@ class IncrementalPotential:
         return tuple(term.name for term in self.terms)
 
     def term(self, name: str) -> EnergyTerm:
-        """The term called `name`; KeyError where there is none.
+        """The term called `name`; KeyError if there is none.
 
         Args:
             name: of the term.

@@ -43,7 +43,7 @@ def encoded(trajectory: Trajectory, half: bool = False) -> bytes:
     """The bytes of the .npz of a trajectory.
 
     Args:
-        trajectory: what is written.
+        trajectory: to write.
         half: float16 instead of float32. Positions are offsets from the middle of each frame's bounding box, so that
             they are good to 0.25 mm in a box of 2 m, wherever in the world it is; velocities to 0.05 %.
     """

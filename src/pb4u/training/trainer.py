@@ -323,7 +323,7 @@ class Trainer:
         is not finite, of a lost garment, of a pass with too little gain or of a search with too small an array.
 
         Args:
-            prepared: what the network derived once from the garments.
+            prepared: data that the network computes once from the garments.
             step: the time step.
             prediction: where it led, differentiable, and what its last pass was worth.
             watch: sees whether the garments are lost.

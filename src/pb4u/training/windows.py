@@ -184,7 +184,7 @@ class Rollout:
         number: of the window.
         window: its garments and bodies.
         state: of the garments.
-        prepared: what the network derived once from the garments.
+        prepared: data that the network computes once from the garments.
         features: node features of the garments.
         watch: sees whether they are lost.
         settles: whether the next step is the settling step.

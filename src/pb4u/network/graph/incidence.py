@@ -19,7 +19,7 @@ class Incidence:
         index: (edges,) int64 node at this end of each edge.
         offsets: (nodes + 1,) int64; edges order[offsets[i]:offsets[i + 1]] touch node i.
         order: (edges,) int64 edges in ascending order of their node (the identity where they are stored so).
-        spare: whether the last of the nodes counted by `offsets` is none, but has the edges that are only room.
+        spare: whether the last node of `offsets` is a dummy for unused entries of edges.
     """
 
     index: Tensor
