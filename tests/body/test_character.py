@@ -320,7 +320,7 @@ def _bone_not_there(document):
         (_without_skin, "has no skin: no mesh in it is bound to bones"),
         (_draco, "is compressed by Draco, which pb4u does not read"),
         (_nan, "is damaged"),
-        (_circle, "is damaged .*circle"),
+        (_circle, "is damaged .*cycle"),
         (_all_hair, r"none of its meshes has the name of a body \(Hair\); name it with --body-parts"),
         (_bone_not_there, "is bound to a bone that does not exist"),
         (lambda document: document["asset"].update(version="1.0"), "not a glTF file of version 2"),

@@ -233,7 +233,7 @@ def test_a_loaded_garment_is_remeshed_with_its_pins_and_its_author_s_mesh(
 def test_what_conflicts_with_a_loaded_object_is_refused(woman: ShapedBody) -> None:
     dance = load_motion("dance")
     for given, says in (
-        ({"body_shape": {"height": 0.7}}, "woman is a body already loaded"),
+        ({"body_shape": {"height": 0.7}}, "woman is already loaded"),
         ({"motion": dance, "crop": (0, 9)}, "dance is a motion already loaded, so --crop"),
         ({"motion": dance, "arms_away": 5.0}, "dance is a motion already loaded, so --arms-away"),
         ({"motion": object()}, "motion must be a name, a path or a Motion"),

@@ -36,7 +36,7 @@ def test_lists_are_taken_for_arrays_and_simulated(skirt: pb4u.Garment) -> None:
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        (lambda g: {"vertices": g.vertices.T}, r"shape \(3, \d+\), where \(vertices, 3\) belongs; transpose"),
+        (lambda g: {"vertices": g.vertices.T}, r"shape \(3, \d+\); it must be \(vertices, 3\); transpose"),
         (lambda g: {"faces": np.zeros((4, 4), dtype=int)}, "cut each quad into two triangles"),
         (lambda g: {"faces": np.where(g.faces == 5, -1, g.faces)}, r"face \d+ is .*indices run from 0 to"),
         (lambda g: {"faces": g.faces.astype(float)}, "must be whole numbers"),

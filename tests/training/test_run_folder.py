@@ -39,7 +39,7 @@ def test_folders_of_others_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not an empty folder"):
         RunFolder.create(tmp_path, {})
     folder = RunFolder.create(tmp_path / "run", {})
-    with pytest.raises(InputError, match="go on with --resume"):
+    with pytest.raises(InputError, match="continue it with --resume"):
         RunFolder.create(tmp_path / "run", {})
     assert folder.load_state() is None
     (folder.path / "last.safetensors").write_bytes(b"not this")

@@ -47,7 +47,7 @@ def test_what_is_read_beside_a_file_cannot_be_chosen() -> None:
 def test_what_is_no_such_file_or_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     files = Uploads()
     for kind, name in (("garment", "a.npz"), ("motion", "a.obj"), ("garment", ".obj"), ("body", "a.exe")):
-        with pytest.raises(InputError, match=f"no {kind} file"):
+        with pytest.raises(InputError, match=f"as a {kind} file"):
             files.keep(kind, name, b"x")
     monkeypatch.setattr(module, "MOST_BYTES", 2**20)
     monkeypatch.setattr(module, "MOST_BYTES_TOGETHER", 2**20 + 100)

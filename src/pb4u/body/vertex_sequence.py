@@ -170,8 +170,9 @@ def body_from_arrays(
     corners = checked_faces(name, faces, points.shape[1])
     if units == "metres" and (unit := body_unit(name, extent_of(points[0]))[0]) != units:
         raise InputError(
-            f"{name}: the body measures {extent_of(points[0]):.3g} m in its first frame; coordinates are metres, and "
-            f'these seem to be {unit}: give units="{unit}", or scale them by {UNITS[unit]:g}.'
+            f"{name}: the body measures {extent_of(points[0]):.3g} m in its first frame; coordinates must be in "
+            "metres, "
+            f'and these seem to be {unit}: give units="{unit}", or scale them by {UNITS[unit]:g}.'
         )
     points, corners = require_usable(name, points, corners, units)
     touched = None if contact is None else np.asarray(contact)
