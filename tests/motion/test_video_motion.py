@@ -196,7 +196,7 @@ def test_trembling_and_sliding_are_taken_out(tmp_path, test_data, smpl_body, nam
     away = [np.linalg.norm((each - each[:, :1]) - (own[2] - own[2][:, :1]), axis=-1).mean() for each in own[:2]]
     assert away[1] < 0.7 * away[0]
     note = load_motion(path).notes[-1]
-    before, after = (float(note.split(word)[1].split()[0].rstrip(";")) for word in ("slid at ", "now "))
+    before, after = (float(note.split(word)[1].split()[0].rstrip(";")) for word in ("slid at ", "now at "))
     assert before > 50.0
     assert after < 10.0
 
