@@ -160,7 +160,7 @@ class PB4U_OT_check(SentenceOperator):
         settings.checked = (
             f"{count} finding{'s' if count != 1 else ''}, {refused} of which would be refused."
             if count
-            else "Nothing to mend."
+            else "Nothing to repair."
         )
         self.report({"WARNING"} if refused else {"INFO"}, settings.checked)
         return {"FINISHED"}

@@ -34,7 +34,7 @@ class Environment:
         ground: Height of the ground plane [m]; none for no ground.
 
     Raises:
-        InputError: a value is no finite number, or out of range.
+        InputError: a value is not a finite number, or out of range.
     """
 
     gravity: Annotated[tuple[float, float, float], Flag(metavar="X,Y,Z")] = (0.0, -STANDARD_GRAVITY, 0.0)
@@ -62,13 +62,13 @@ class Environment:
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """Entries of a trajectory's metadata: gravity and ground, and what else is not as usual."""
+        """Entries of a trajectory's metadata: gravity and ground, and other values that differ from the default."""
         usual = {"gravity": list(self.gravity), "ground_height": self.ground}
         return usual | {name: value for name, value in self.changed.items() if name in _AIR}
 
     @staticmethod
     def of_metadata(metadata: Mapping[str, Any]) -> Environment:
-        """Environment of a trajectory; what its metadata do not say is as usual.
+        """Environment of a trajectory; entries missing in its metadata have their default.
 
         Args:
             metadata: of the trajectory.
@@ -78,7 +78,7 @@ class Environment:
 
     @property
     def changed(self) -> dict[str, Any]:
-        """Fields that are not as usual, by name."""
+        """Fields that differ from their default, by name."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: value for name, value in values.items() if value != getattr(Environment, name)}
 

@@ -35,11 +35,12 @@ _ELSEWHERE = {
 
 
 class Pb4uError(Exception):
-    """The request failed or was refused; the message is one plain sentence saying what, where and how to mend."""
+    """The request failed or was refused; the message is one plain sentence that says what is wrong, where, and the
+    remedy."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """The user, or the machine, ended the request; what it had made is kept where the message says so.
+    """The user or the system interrupted the request; the message says what is kept.
 
     Args:
         sentence: one plain sentence on what is kept; empty for nothing.
@@ -52,10 +53,10 @@ class Interrupted(KeyboardInterrupt):
 
 
 def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
-    """The interrupt that an error came of, or that it is; None where there was none.
+    """The interrupt that caused an error, or the error itself if it is one; None without an interrupt.
 
     Args:
-        error: compiled code that an interrupt arrives in raises a SystemError of its own instead.
+        error: compiled code raises a SystemError of its own when it is interrupted.
     """
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
@@ -63,7 +64,7 @@ def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
 
 
 class InputError(Pb4uError, ValueError):
-    """An input (file, name or number) cannot be used as it is."""
+    """An input (file, name or number) cannot be used."""
 
 
 class MissingExtraError(Pb4uError, ImportError):
@@ -81,7 +82,7 @@ class MissingExtraError(Pb4uError, ImportError):
 
 @contextmanager
 def extra(name: str, purpose: str) -> Iterator[None]:
-    """Refuse what an optional part of the package is needed for, where its imports fail.
+    """Refuse a feature if the imports of its optional part of the package fail.
 
     Args:
         name: of the extra.
@@ -98,7 +99,7 @@ def extra(name: str, purpose: str) -> Iterator[None]:
 
 @contextmanager
 def on_disk(what: str, kind: type[Pb4uError] = InputError) -> Iterator[None]:
-    """What the disk refuses, as one sentence.
+    """Turn errors of the disk into one sentence.
 
     Args:
         what: could not be done, as the beginning of the sentence.
@@ -114,7 +115,7 @@ def on_disk(what: str, kind: type[Pb4uError] = InputError) -> Iterator[None]:
 
 
 def sentence_on(error: BaseException) -> str | None:
-    """Sentence on an error of this package, of the memory or of the disk; None for any other, which is a fault of ours.
+    """Sentence on an error of this package, of the memory or of the disk; None for any other, which is a fault of pb4u.
 
     Args:
         error: the error.
@@ -133,7 +134,7 @@ class InputWarning(UserWarning):
 
 
 class InputNote(InputWarning):
-    """Something that was done with an input, which needs no mending."""
+    """Note on a change of an input that needs no action."""
 
 
 _NOTED: ContextVar[tuple[list[str], ...]] = ContextVar("noted", default=())
@@ -141,7 +142,7 @@ _NOTED: ContextVar[tuple[list[str], ...]] = ContextVar("noted", default=())
 
 @contextmanager
 def noted() -> Iterator[list[str]]:
-    """The sentences that are warned of meanwhile, whoever else hears them, each once and in their order."""
+    """List of the warnings given inside the `with` block, each once and in order; other handlers still get them."""
     notes: list[str] = []
     token = _NOTED.set((*_NOTED.get(), notes))
     try:
@@ -186,16 +187,16 @@ def unknown_name(kind: str, name: str, choices: Iterable[str], where: str = "") 
 
 
 def unread_kind(path: Path, kind: str, suffixes: Iterable[str]) -> InputError:
-    """Error for a file of a kind that is not read, with what to do where another program's is given.
+    """Error for a file of an unknown format, with advice for formats of other programs.
 
     Args:
         path: the file.
-        kind: what it was given for, such as "motion".
+        kind: its purpose, such as "motion".
         suffixes: of the kinds that are read.
     """
     suffix = path.suffix.lower().removeprefix(".")
     hint = next((f" {sentence}" for suffixes, sentence in _ELSEWHERE.items() if suffix in suffixes), "")
-    return InputError(f"{path} is of no kind of {kind} file that is read; those end in {', '.join(suffixes)}.{hint}")
+    return InputError(f"{path} is not a kind of {kind} file that pb4u reads; it reads {', '.join(suffixes)}.{hint}")
 
 
 def refuse_unknown(kind: str, names: Iterable[str], choices: Collection[str], where: str = "") -> None:

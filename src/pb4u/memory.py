@@ -17,8 +17,9 @@ _KEPT = 1 << 30
 def keep_freed_memory() -> None:
     """Let glibc keep the memory of arrays up to 1 GiB, for this process.
 
-    It maps every array above 32 MB anew, and the system clears it each time: a third of a step of `pb4u-wide` at 11,000
-    triangles. Nothing changes with another C library, or where the user's environment sets up malloc.
+    By default it maps memory for every array above 32 MB again, and the system clears it each time: a third of a step
+    of `pb4u-wide` at 11,000 triangles. Nothing changes with another C library, or where the user's environment sets up
+    malloc.
     """
     if "GLIBC_TUNABLES" in os.environ or any(name.startswith("MALLOC_") for name in os.environ):
         return

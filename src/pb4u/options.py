@@ -24,18 +24,18 @@ NONE = "none"
 
 @dataclass(frozen=True)
 class Flag:
-    """How a field is offered beyond Python, and in what range.
+    """Flag, scene-file entry and range of a field.
 
     Args:
-        panel: heading of the help under which it stands.
-        metavar: what the help writes for its value; by default its type.
-        names: spelling of the flag, where that is more than the name of the field.
+        panel: its heading in the help.
+        metavar: placeholder of its value in the help; by default its type.
+        names: spelling of the flag, if it differs from the name of the field.
         least: smallest value.
         most: largest value.
         is_file: whether a text may name a file, which scene files hold relative to themselves.
-        section: section of a scene file in which it stands.
-        applies_to: part of a model that it changes; models without that part do not look at it. None: every model does.
-        label: its name in the index of a dataset, by default that of the field; "" where it is not in there.
+        section: its section in a scene file.
+        applies_to: part of a model that it changes; models without that part ignore it. None: every model does.
+        label: its name in the index of a dataset, by default that of the field; "" if it is not listed.
         by_part: whether a mapping may give a value for each part of a garment.
         form: label of its control in the studio, which shows the fields that have one.
     """
@@ -55,16 +55,16 @@ class Flag:
 
 @dataclass(frozen=True)
 class Entry:
-    """One field as all that is derived from it sees it.
+    """One field of a record, as flags, scene files and the index use it.
 
     Args:
         name: of the field.
-        type: of its value, the first of those that it may have.
+        type: the first of the possible types of its value.
         kind: "switch", "whole", "number", "vector", "choice", "name", "file", "names", "counts" or "files"; "other"
             where its record checks it.
-        optional: whether None may stand for its value.
+        optional: whether its value may be None.
         choices: values of a choice.
-        default: its value where none is given.
+        default: its default value.
         flag: how it is offered.
         help: its text.
         holder: field of the record that holds the record of this field; "" for the record's own fields.
@@ -84,7 +84,7 @@ class Entry:
         """Its value in a record.
 
         Args:
-            record: what was described.
+            record: the described record.
         """
         return getattr(getattr(record, self.holder) if self.holder else record, self.name)
 
@@ -95,18 +95,18 @@ class Entry:
 
     @property
     def label(self) -> str:
-        """Its name in the index of a dataset; "" where it is not in there."""
+        """Its name in the index of a dataset; "" if it is not listed."""
         return self.name if self.flag.label is None else self.flag.label
 
 
 @lru_cache
 def described(record: type) -> Mapping[str, Entry]:
-    """The fields of a record that have a flag, by name; in the place of a field that is a record, those of that one.
+    """The fields of a record that have a flag, by name; a field that is itself a record is replaced by its fields.
 
-    The fields of a record within another stand in a section of that field's name, under its panel.
+    These inner fields have the outer field's panel, and a section of its name.
 
     Args:
-        record: a dataclass whose docstring says what each field is.
+        record: a dataclass whose docstring describes each field.
     """
     texts, hints = argument_texts(record), get_type_hints(record, include_extras=True)
     entries = {}
@@ -169,7 +169,7 @@ def require_value(entry: Entry, value: object, name: str) -> None:
     Args:
         entry: the field.
         value: for it.
-        name: what the user calls the field.
+        name: name of the field for the user.
 
     Raises:
         InputError: the value does not fit.
@@ -222,7 +222,7 @@ def _wanted(entry: Entry) -> str:
 
 
 def is_whole(value: object) -> bool:
-    """Whether a value is a whole number, be it Python's or numpy's; a switch is none.
+    """Whether a value is a whole number of Python or numpy; booleans are not.
 
     Args:
         value: anything.

@@ -36,7 +36,7 @@ def no_progress(done: int, total: int) -> None:
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Progress]:
-    """A bar with the time left, on standard error; silent where that is not a terminal.
+    """A bar with the remaining time, on standard error; silent if that is not a terminal.
 
     Args:
         label: what is being done.
@@ -60,22 +60,23 @@ def progress_bar(label: str) -> Iterator[Progress]:
 
 
 def progress_or_bar(progress: Progress | None, label: str) -> AbstractContextManager[Progress]:
-    """The progress that a caller gave, or a bar where none was given.
+    """The progress callback of the caller, or a bar by default.
 
     Args:
-        progress: what hears of it; `no_progress` for none.
+        progress: callback; `no_progress` for none.
         label: what is being done.
     """
     return progress_bar(label) if progress is None else nullcontext(progress)
 
 
 class Estimate:
-    """Says how long work takes by its first parts, where that is over a minute, and again where it gets slower.
+    """Estimates the time of work from its first parts; prints it if it is over a minute, and again if the work gets
+    slower.
 
     Args:
         say: called with the sentence.
-        part: what a part is called, such as "step".
-        alike: whether parts take about as long as each other: the quickest then counts, and else the mean of more.
+        part: name of a part, such as "step".
+        alike: whether parts take about equally long: the quickest then counts, otherwise the mean of several.
         clock: the time [s].
     """
 
@@ -147,13 +148,13 @@ def announced(
     say: Callable[[str], None],
     alike: bool = True,
 ) -> Iterator[Progress]:
-    """A bar with the time left, and of work of over a minute a sentence that says how long it takes.
+    """A bar with the remaining time, and for work of over a minute a sentence with its estimated time.
 
     Args:
         label: what is being done.
-        part: what a part of it is called, such as "step".
+        part: name of a part, such as "step".
         say: called with the sentence.
-        alike: whether parts take about as long as each other.
+        alike: whether parts take about equally long.
     """
     estimate = Estimate(say, part, alike)
     with progress_bar(label) as bar:

@@ -15,10 +15,10 @@ PROVIDERS: dict[str, tuple[str, ...]] = {}
 
 
 class Registry(MutableMapping[str, Entry]):
-    """Entries of one kind by name: a layer's own, and those that modules above it register.
+    """Entries of one kind by name: a layer's own, and entries that modules of higher layers register.
 
-    The providers of the kind are imported when a name is not found without them, or when all names are asked for. One
-    that is not installed is passed over.
+    The providers of the kind are imported when a name is not found without them, or when all names are listed. A
+    provider that is not installed is skipped.
 
     Args:
         kind: what an entry is, as messages and `PROVIDERS` call it.
@@ -36,7 +36,7 @@ class Registry(MutableMapping[str, Entry]):
             name: the name that was given.
 
         Raises:
-            InputError: there is none; those near it are listed.
+            InputError: there is none; similar names are listed.
         """
         refuse_unknown(self.kind, [name], self)
         return self[name]

@@ -72,18 +72,18 @@ class WornGarment:
             own, a fabric if it is built in and flat, else "default".
         pins: Vertices that follow the body: none, waist (highest border), collar (uppermost 4 cm of a border), hem
             (lowest border), loop:N (of the borders by their vertices, loop:0 the one with the most), a file of indices
-            or a list. Default: the garment's own; none of what has elastic in its waist.
+            or a list. Default: the garment's own; none if it has elastic in its waist.
         triangles: Triangles to simulate. Default: the file's own, or 2,500 of a built-in garment.
-        texture: Image laid on the garment by its UVs, or from front and back where it has none. Default: the images
-            and colours of its own file (OBJ with MTL, glTF).
+        texture: Image mapped on the garment by its UVs, or projected from front and back if it has none. Default: the
+            images and colours of its own file (OBJ with MTL, glTF).
         tacks: Pairs A:B of vertices that are sewn together, counted from 0 in the author's mesh.
         buttons: Buttons that close it in front, at even distances along the borders that face each other there.
-        tucked: Whether it is tucked into the trousers or the skirt, wherever it stands in the order.
-        grain: Direction X,Y,Z of the warp where it is worn at rest, such as 0,1,0, on to each face. Default: that of
-            its panels, or of UVs in metres; else its cloth is the same in all directions.
-        pin_stiffness: Stiffness of the springs that hold its pins [N/m], all together: a waistband of 300 gives way by
+        tucked: Whether it is tucked into the trousers or the skirt, whatever its place in the order.
+        grain: Direction X,Y,Z of the warp where it is worn at rest, such as 0,1,0, on to each face. Default: the
+            direction of its panels, or of UVs in metres; else its cloth is the same in all directions.
+        pin_stiffness: Total stiffness of springs in place of fixed pins [N/m]: with 300 a waistband moves by
             centimetres. Default: pins hold exactly.
-        pins_until: Frame, counted from 0 as frames are written, from which its pins let go.
+        pins_until: Written frame, counted from 0, at which its pins are released.
         band_width: Width of a band [m]. Default: 0.035 of a waist, 0.03 of a cuff, 0.02 of hem and collar, 0.01 of a
             border.
         layers: Layers of cloth of a part, such as 2 of a hem that is turned over.
@@ -122,7 +122,7 @@ class WornGarment:
                 raise InputError(f"The pins must be a name, a file or a list of vertex indices, not {self.pins!r}.")
             object.__setattr__(self, "pins", tuple(map(int, indices)))
         if not are_pairs(self.tacks):
-            raise InputError(f"Tacks are pairs of vertices, such as [[10, 210]], not {self.tacks!r}.")
+            raise InputError(f"Tacks must be pairs of vertices, such as [[10, 210]], not {self.tacks!r}.")
         object.__setattr__(self, "tacks", tuple((int(a), int(b)) for a, b in self.tacks))
         if self.grain is not None:
             object.__setattr__(self, "grain", _checked_direction(self.grain))
@@ -130,7 +130,7 @@ class WornGarment:
 
     @property
     def materials(self) -> Mapping[str, str | Path | Material]:
-        """Its material by part, that of the rest under "body"; empty where none is asked for."""
+        """Its material by part, with the rest under "body"; empty if none is given."""
         if self.material is None:
             return {}
         return self.material if isinstance(self.material, Mapping) else {REST: self.material}
@@ -149,7 +149,7 @@ class Run:
     """Garments on a moving body, by name, by path or as loaded objects, and how they are simulated.
 
     Args:
-        garments: Garments worn, inner first; in Python one alone too.
+        garments: Garments worn, inner first; in Python also a single one.
         body: woman, man, anny (extra), a model file of the SMPL family, a rigged character (.glb, .gltf, .vrm),
             a sequence of vertices, or none (a garment file then hangs from its pins, or falls to the ground).
         body_shape: Shape of the body, such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of a file of the SMPL
@@ -157,13 +157,13 @@ class Run:
         clip: Clip that a rigged character performs. Default: its first.
         body_parts: Meshes or materials that make the body of a character, separated by commas. Default: all but hair,
             eyes and clothes, by their names.
-        body_units: Unit of length of a character's or a sequence's file. Default: told by the size of a person.
+        body_units: Unit of length of a character's or a sequence's file. Default: recognised by the size of a person.
         motion: Built-in motion (`pb4u assets`), or .amc, .bvh, AMASS .npz, VTO .pkl, or from a video GVHMR .pt, WHAM
             .pkl or TRAM .npy (FILE:PERSON of several people). Default: walk, or the body's own.
         crop: Frames A to B-1 of a recording, at its own rate.
-        arms_away: Degrees by which hanging arms are held away from the torso. Default: as far as
-            keeps the arms of a recording out of the body; 0 leaves them as recorded.
-        raw_motion: Leave motion from a video as it is, neither smoothed nor its feet held.
+        arms_away: Angle in degrees by which hanging arms are swung away from the torso. Default: as far as needed to
+            keep recorded arms out of the body; 0 leaves them as recorded.
+        raw_motion: Use motion from a video unchanged, without smoothing and without fixing its feet.
         recorded_fps: Frames per second of a recording or a sequence of vertices. Default: what its file says, or 30.
         lead_in: Frames from the rest pose into the motion, simulated but not written. Default: one second, or 0
             without a body.
@@ -171,7 +171,7 @@ class Run:
         frames: Frames to write. Default: the whole recording, or 60 of a built-in motion.
         fps: Frames per second; a network runs at its own, and the result is resampled.
         seed: Seed of everything random.
-        model: solver, quick-solver (its first iterations alone: fastest for most garments on a processor), skinning, or
+        model: solver, quick-solver (only its first iterations: fastest for most garments on a processor), skinning, or
             a network by name, .safetensors file or .pth of the released code. Default: pb4u-light, or pb4u-wide
             with --refine 0; neither is the paper's network (`pb4u info --model pb4u-light`).
         refine: Most solver iterations after each step of a network, 0 for the network only; or of the quick solver. A
@@ -182,27 +182,27 @@ class Run:
             networks; skinning cannot.
         propagation_steps: Propagation steps of a network. Default: by the mesh's resolution.
         scaling: Factors on what a network of Pb4U-GNet's family predicts: by the edge length at each vertex (the
-            paper's), by the mean edge length, none, or band-split, which scales wrinkles and leaves bulk motion as it
-            is. Default: as it was trained.
-        passes: How often a network is evaluated in each step. Default: its own number, and more where a step needs
-            it, or 1 with --refine.
+            paper's), by the mean edge length, none, or band-split, which scales wrinkles and leaves bulk motion
+            unchanged. Default: as it was trained.
+        passes: How often a network is evaluated in each step. Default: its own number, and more if a step needs it, or
+            1 with --refine.
         device: Where a network computes; the solver always runs on the CPU. Of several cards the first that
             CUDA_VISIBLE_DEVICES lists.
         precision: Precision of a network's matrix products; auto is bfloat16 where the device multiplies faster in it
             and --refine is above 0.
         first_frame: How frame 0 is made: settled by the solver; in one long_step of the method itself, as in the
-            paper; placed as it is; or as released code begins: release (Pb4U-GNet), hood, mgn, contourcraft. auto is
-            settled wherever the solver takes part.
-        as_recorded: Play an SMPL recording (.pkl, AMASS .npz) as it is, on its own shape, place and height;
+            paper; placed as given; or as in the released codes: release (Pb4U-GNet), hood, mgn, contourcraft. auto is
+            settled if the solver takes part.
+        as_recorded: Play an SMPL recording (.pkl, AMASS .npz) unchanged, with its own shape, place and height;
             --arms-away 20 is the released code's separate_arms.
         omitted: Body vertices left out of contact: smpl_aux.pkl, or a list. Default: the body's own.
         rest_shape: Rest shape of built-in garments: flat panels with a grain, or moulded, as they sit on the body.
-        friction_law: Friction on bodies and on the ground: coulomb, by what presses and alike in all directions; or the
-            paper's, which resists sliding down by a hundredth of that. auto is coulomb wherever the solver takes part.
-        substeps: Steps of the solver in a frame, for what moves fast. A network keeps the step that it was trained on.
-        time_integration: Rule of integration in time: implicit-euler, which damps swings and which networks learnt, or
-            bdf2, which keeps a swing's height. auto is bdf2 where the solver alone makes the steps.
-        air: Air that presses on moving cloth and drags it. auto is on wherever the solver takes part, and with wind.
+        friction_law: Friction on bodies and on the ground: coulomb, by the normal force and equal in all directions; or
+            the paper's, which resists sliding down by a hundredth of that. auto is coulomb if the solver takes part.
+        substeps: Steps of the solver in a frame, for what moves fast. A network keeps the time step of its training.
+        time_integration: Rule of integration in time: implicit-euler, which damps swings and is that of networks, or
+            bdf2, which keeps a swing's height. auto is bdf2 for the solvers.
+        air: Air that presses on moving cloth and drags it. auto is on if the solver takes part, and with wind.
         environment: Gravity, air and ground; flags and entries of jobs files are the fields of `Environment`.
 
     Raises:
@@ -263,16 +263,16 @@ class Run:
             object.__setattr__(self, "crop", _checked_crop(self.crop))
         _check(self)
         if not isinstance(self.environment, Environment):
-            raise InputError(f"The environment of a run is a pb4u.Environment, not {self.environment!r}.")
+            raise InputError(f"The environment of a run must be a pb4u.Environment, not {self.environment!r}.")
         if any(self.environment.wind) and self.air == "off":
-            raise InputError('wind moves nothing where there is no air: give air = "on" too (--air on).')
+            raise InputError('wind has no effect without air: give air = "on" too (--air on).')
         if not self.garments:
-            raise InputError("A scene has at least one garment; none is given.")
+            raise InputError("A scene needs at least one garment; none is given.")
         if len(self.garments) > MOST_GARMENTS:
-            raise InputError(f"At most {MOST_GARMENTS} garments are worn over each other, not {len(self.garments)}.")
+            raise InputError(f"At most {MOST_GARMENTS} garments can be worn over each other, not {len(self.garments)}.")
         for number, garment in enumerate(self.garments):
             if not isinstance(garment, WornGarment):
-                raise InputError(f"The garments of a run are WornGarment objects, not {garment!r}.")
+                raise InputError(f"The garments of a run must be WornGarment objects, not {garment!r}.")
             if any(_is_same(garment.garment, inner.garment) for inner in self.garments[:number]):
                 raise InputError(
                     f"The garment {garment.name} is worn twice, and both would lie in the same place; garments of one "
@@ -287,12 +287,12 @@ class Run:
 
     @property
     def written_frames(self) -> int | None:
-        """Number of frames that are written, a kept lead-in included; None where the motion decides."""
+        """Number of written frames, with a kept lead-in; None if the motion decides."""
         return self.frames if self.frames is None or not self.keep_lead_in else self.frames + self.led_frames
 
     @property
     def files(self) -> tuple[object, ...]:
-        """Everything that names what is read, be it a built-in name, a file or a loaded object."""
+        """All values that name an input: a built-in name, a file or a loaded object."""
         files = [value for g in self.garments for name in _files(WornGarment) for value in of_parts(getattr(g, name))]
         return *files, *(getattr(self, name) for name in _files(Run))
 
@@ -303,7 +303,7 @@ class Run:
 
     @property
     def scene(self) -> Run:
-        """The same scene with options by default: runs of equal scenes share what is made of it."""
+        """The same scene with default options: runs of equal scenes share their loaded scene."""
         return replace(self, **{name: getattr(Run, name) for name in entries("run")})
 
     def at_rate(self, fps: float) -> Run:
@@ -327,14 +327,14 @@ class Run:
         return replace(run, frames=written - (run.led_frames if self.keep_lead_in else 0))
 
     def with_entries(self, given: Mapping[str, Any], folder: Path | None = None) -> Run:
-        """Copy of this run with some entries replaced, as flags replace those of a scene file.
+        """Copy of this run with some entries replaced, in the way that flags replace entries of a scene file.
 
         Args:
-            given: value by name. `garment` is one, or a list, inner first, and replaces all garments with what belongs
-                to them; the other entries of a garment are one for all, or a list with one each, None for what stays.
-                `body` replaces what belongs to it too (shape, clip, parts, what is omitted), `motion` crop, clip,
-                recorded_fps and raw_motion. Without a body, all that is of one is left out.
-            folder: folder from which relative files are found; None leaves them as they are.
+            given: value by name. `garment` is one, or a list, inner first, and replaces all garments and their entries;
+                other entries of a garment are one for all, or a list with one each, None for no change. `body` also
+                replaces its shape, clip, parts and omitted vertices, `motion` crop, clip, recorded_fps and raw_motion.
+                Without a body all entries of one are removed.
+            folder: folder of relative paths; None leaves them unchanged.
 
         Raises:
             InputError: an entry is unknown, or a value cannot be used.
@@ -385,8 +385,8 @@ class Run:
     def open(path: str | Path) -> Run:
         """Read a scene file (TOML): `[scene]`, one `[[garments]]` for each garment, `[run]`, `[environment]`.
 
-        The entries are the fields of `Run`, of `WornGarment` and of `Environment`; what is left out has its default,
-        but for friction, which is the paper's.
+        The entries are the fields of `Run`, of `WornGarment` and of `Environment`; omitted ones have their default,
+        except friction, which is the paper's.
 
         Args:
             path: the file; paths in it are relative to it.
@@ -421,7 +421,7 @@ def entries(section: str) -> tuple[str, ...]:
 
 
 def of_parts(value: object) -> tuple[object, ...]:
-    """The values of all parts of a garment, where an entry has one for each; else the one value.
+    """The values for all parts of a garment, if an entry has one for each; else the single value.
 
     Args:
         value: of an entry.
@@ -437,7 +437,7 @@ def names_file(name: str, value: object) -> bool:
     """Whether the value of an entry names a file: a path, or a text with a dot or a slash.
 
     Args:
-        name: of the entry; most never name one.
+        name: of the entry; most never name a file.
         value: of it.
     """
     looks_so = isinstance(value, str) and (bool(Path(value).suffix) or "/" in value or "\\" in value)
@@ -445,12 +445,12 @@ def names_file(name: str, value: object) -> bool:
 
 
 def located(name: str, value: Any, folder: Path | None) -> Any:
-    """The value of an entry as it is read, or a list of each of several, files found from a folder.
+    """The value of an entry, or a list of values, with relative paths resolved from a folder.
 
     Args:
         name: of the entry.
-        value: of it; what is a `Path` already stays as it is.
-        folder: from which relative files are found; None leaves them as they are.
+        value: of the entry; a `Path` stays unchanged.
+        folder: folder of relative paths; None leaves them unchanged.
     """
     if isinstance(value, list | tuple):
         return [located(name, part, folder) for part in value]
@@ -491,7 +491,7 @@ def _checked_shape(shape: Any) -> dict[str, float]:
 
 def _checked_crop(crop: Any) -> tuple[int, int]:
     if not isinstance(crop, list | tuple) or len(crop) != 2 or not all(is_whole(frame) for frame in crop):
-        raise InputError(f"A crop is two frames, the first and the one after the last, not {crop!r}.")
+        raise InputError(f"A crop must be two frame numbers, the first and the one after the last, not {crop!r}.")
     return crop[0], crop[1]
 
 
@@ -501,7 +501,7 @@ def _is_direction(value: Any) -> bool:
 
 def _checked_direction(grain: Any) -> tuple[float, float, float]:
     if not _is_direction(grain) or not 0.0 < math.hypot(*grain) < math.inf:
-        raise InputError(f"The grain is a direction of three numbers, such as [0, 1, 0], not {grain!r}.")
+        raise InputError(f"The grain must be a direction of three numbers, such as [0, 1, 0], not {grain!r}.")
     x, y, z = map(float, grain)
     return x, y, z
 

@@ -53,7 +53,7 @@ def read_scene(path: Path) -> Run:
         require_format(tables, ("garments", *SECTIONS), FORMAT_VERSION)
         garments = tables.get("garments", [{}])
         if not isinstance(garments, list):
-            raise InputError("Each garment is a section of its own, written [[garments]].")
+            raise InputError("Each garment must be a section of its own, written [[garments]].")
         records = tuple(WornGarment(**_section("[[garments]]", table, "garments", path.parent)) for table in garments)
         values = dict(OF_BEFORE)
         for name in SECTIONS:
@@ -64,10 +64,10 @@ def read_scene(path: Path) -> Run:
 
 
 def named_file(value: str | Path) -> Path:
-    """The file that a value of a run names, without the entry of a dictionary or the person of a recording after it.
+    """The file that a value of a run names, without a following dictionary entry or person of a recording.
 
     Args:
-        value: a path, FILE.pkl:NAME, FILE.pkl:NAME@CENTRE or FILE:PERSON; a built-in name is given back as a path.
+        value: a path, FILE.pkl:NAME, FILE.pkl:NAME@CENTRE or FILE:PERSON; a built-in name is returned as a path.
     """
     entry = DictionaryEntry.parse(value)
     if entry is not None:
@@ -83,7 +83,7 @@ def write_scene(run: Run, path: Path) -> None:
     """Write the scene file of a run, with every value that is set.
 
     Args:
-        run: what it describes.
+        run: the run to describe.
         path: the file; paths that are relative to the current folder are written relative to it.
 
     Raises:
@@ -139,7 +139,7 @@ def require_entries(title: str, table: Any, names: Collection[str]) -> dict[str,
         names: entries that it may have.
 
     Raises:
-        InputError: it is no table, or an entry is unknown.
+        InputError: it is not a table, or an entry is unknown.
     """
     if not isinstance(table, dict):
         raise InputError(f"The section {title} must hold entries such as name = value, not {table!r}.")

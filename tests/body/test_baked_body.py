@@ -152,8 +152,8 @@ def test_files_that_are_no_baked_bodies_are_refused(tmp_path: Path) -> None:
         ("parameter_names", np.array(["height"] * 3), "or no names of their own"),
         ("term_basis", members["term_basis"] + np.uint8(3), "other than 0, 1 and 2"),
         ("term_joints", np.nan * members["term_joints"], "term_joints is not finite"),
-        ("faces", np.full((3, 3), 13348), "faces points outside of its 13348 vertices"),
-        ("weight_bones", members["weight_bones"] + np.uint8(100), "weight_bones points outside of its 104 bones"),
+        ("faces", np.full((3, 3), 13348), "faces has indices beyond its 13348 vertices"),
+        ("weight_bones", members["weight_bones"] + np.uint8(100), "weight_bones has indices beyond its 104 bones"),
         ("bone_parents", members["bone_parents"][::-1], "a bone comes before its parent"),
         ("term_vertices", members["term_vertices"].astype(complex), "term_vertices holds complex128"),
     ):

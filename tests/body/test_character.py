@@ -111,7 +111,7 @@ def test_a_body_mirrored_by_a_negative_scale_stands_and_faces_as_others(tmp_path
         document["nodes"][0]["scale"] = scale
 
     body, plain = loaded(rewritten(woman_file, tmp_path / "a.glb", mirror)), loaded(woman_file)
-    assert "mirrored by the scale of a node, so its left and right are swapped" in body.notes[1]
+    assert "the scale of a node mirrors it, so its left and right are swapped" in body.notes[1]
     assert told in body.notes[2]
     skeleton, wanted = body.skeleton, plain.skeleton
     size = body.vertices[:, 1].max() / plain.vertices[:, 1].max()
@@ -241,7 +241,7 @@ def test_vrm_names_its_bones_itself(tmp_path):
 def test_bones_of_no_human_move_by_their_clips_alone(tmp_path):
     body = loaded(write_woman(tmp_path / "a.glb", rename=lambda name: f"part {len(name)}"))
     assert not body.is_human
-    assert any("its bones are no human's by their names" in note for note in body.notes)
+    assert any("its bone names are not those of a human" in note for note in body.notes)
     assert len(body.clip_poses(30.0, 5)) == 5
 
 
@@ -261,7 +261,7 @@ def test_a_file_in_another_unit_is_told(tmp_path, height):
 
     body = loaded(write_woman(tmp_path / "a.glb", change=grow, clips=()))
     assert body.height == pytest.approx(load_body("woman").height, rel=0.01)
-    assert any("so it is taken to be in" in note for note in body.notes)
+    assert any("so it is read in" in note for note in body.notes)
 
 
 def test_a_pose_that_is_not_the_bind_pose_is_no_matter(tmp_path, woman_file):
@@ -317,13 +317,13 @@ def _bone_not_there(document):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (_without_skin, "has no skin: no mesh in it hangs on bones"),
-        (_draco, "is compressed by Draco, which is not read"),
+        (_without_skin, "has no skin: no mesh in it is bound to bones"),
+        (_draco, "is compressed by Draco, which pb4u does not read"),
         (_nan, "is damaged"),
-        (_circle, "is damaged .*circle"),
-        (_all_hair, r"none of its meshes is a body \(Hair\); name it with --body-parts"),
-        (_bone_not_there, "hangs on a bone that is not there"),
-        (lambda document: document["asset"].update(version="1.0"), "no glTF of version 2"),
+        (_circle, "is damaged .*cycle"),
+        (_all_hair, r"none of its meshes has the name of a body \(Hair\); name it with --body-parts"),
+        (_bone_not_there, "is bound to a bone that does not exist"),
+        (lambda document: document["asset"].update(version="1.0"), "not a glTF file of version 2"),
         (lambda document: document["accessors"][0].update(count=10**9), "is cut short"),
     ],
 )
@@ -358,5 +358,5 @@ def test_a_file_cut_short_is_refused(tmp_path, woman_file):
         with pytest.raises(InputError, match=r"b\.glb"):
             load_body(tmp_path / "b.glb")
     shutil.copy(__file__, tmp_path / "c.glb")
-    with pytest.raises(InputError, match="no whole glTF file"):
+    with pytest.raises(InputError, match="not a complete glTF file"):
         load_body(tmp_path / "c.glb")

@@ -35,7 +35,7 @@ def test_an_absent_file_is_named() -> None:
 
 def test_unknown_kinds_of_file_are_refused(tmp_path: Path) -> None:
     (tmp_path / "body.fbx").write_bytes(b"Kaydara")
-    with pytest.raises(InputError, match="those end in"):
+    with pytest.raises(InputError, match="it reads"):
         load_body(tmp_path / "body.fbx")
     (tmp_path / "body.npz").write_bytes(b"not a zip")
     with pytest.raises(InputError, match="not a readable"):

@@ -12,7 +12,7 @@ from pb4u.errors import InputError, InputWarning
 BODY = trimesh.creation.capsule(1.2, 0.25).apply_transform(
     trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0])
 )
-LEVEL = "the ground is taken to be level for the camera"
+LEVEL = "the ground is assumed to be level for the camera"
 
 
 def frames(count: int = 20) -> np.ndarray:

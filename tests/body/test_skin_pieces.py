@@ -86,12 +86,12 @@ def test_what_is_no_skin_is_left_out_and_named(tmp_path: Path, case: str) -> Non
     assert name in first
     out = share_out_of_contact(body.vertices, body.faces, body.contact)
     assert 0.02 < out < 0.1
-    assert any(f"{100 * out:.0f} % of its skin is out of contact" in note for note in body.notes)
+    assert any(f"{100 * out:.0f} % of its skin" in note for note in body.notes)
 
 
 def test_skin_under_what_was_asked_for_is_told(tmp_path: Path) -> None:
     path = write_woman(tmp_path / "a.glb", clips=(), extra=[("Helper", "Cover", *shell(0.05, 1.3, 0.3, 0.006), None)])
-    with pytest.warns(InputWarning, match=r"a.glb: \d\d % of its skin is out of contact besides the hands"):
+    with pytest.warns(InputWarning, match=r"a.glb: \d\d % of its skin, hands not counted"):
         load_body(path, parts=("Skin", "Cover"))
 
 

@@ -237,7 +237,7 @@ def test_an_empty_folder_and_mixed_kinds_are_refused(tmp_path: Path, box: tuple[
         ({"fps": 0.0}, "positive"),
         ({"fps": np.array(["fast"])}, "fps holds <U4, not numbers"),
         ({"contact": np.ones(5, dtype=bool)}, "contact has the shape"),
-        ({"scale": 1e5}, "no person in any unit that is known; say which with --body-units"),
+        ({"scale": 1e5}, "no person in any known unit; say which with --body-units"),
         ({"scale": 13.5}, "a person in inches or in decimetres; say which with --body-units"),
     ],
 )
@@ -347,7 +347,7 @@ def test_centimetres_are_told_by_the_size_of_a_person(tmp_path):
 def test_the_unit_that_is_given_is_taken(tmp_path):
     box = trimesh.creation.box((0.5, 1.7, 0.3))
     write_vertex_sequence(tmp_path / "giant.npz", 5.0 * np.stack([box.vertices] * 2), box.faces, 30.0)
-    with pytest.warns(InputWarning, match=r"measures 8.5, so it is taken to be in decimetres, 0.85 m; --body-units"):
+    with pytest.warns(InputWarning, match=r"measures 8.5, so it is read in decimetres, 0.85 m; --body-units"):
         load_body(tmp_path / "giant.npz")
     giant = load_body(tmp_path / "giant.npz", units="metres")
     assert np.ptp(giant.positions(0, 1).numpy(), axis=1).max() == pytest.approx(8.5)
@@ -368,7 +368,7 @@ def test_a_cache_of_another_kind_beside_a_mesh_is_told(tmp_path):
     write_obj(tmp_path / "scan.obj", box.vertices, box.faces.tolist())
     for name in ("scan.pc16", "scan.mtl", "other.abc"):
         (tmp_path / name).write_bytes(b"x")
-    with pytest.warns(InputWarning, match=r"scan\.obj: scan\.pc16 beside it is not read, so the mesh stands still"):
+    with pytest.warns(InputWarning, match=r"scan\.obj: scan\.pc16 beside it is not read, so the mesh does not move"):
         assert load_vertex_sequence(tmp_path / "scan.obj").frame_count == 1
 
 

@@ -58,7 +58,7 @@ def flat(document: dict[str, Any]) -> None:
 CASES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     "a .pt that would run code": (
         lambda at: ["--motion", gvhmr(at / "a.pt", Code())],
-        'a.pt: it asks for "exec"; only plain data is read, nothing in it was run',
+        'a.pt: it asks for "exec"; only plain data is read, and nothing in the file was run',
     ),
     "a .pt with a frame that is not finite": (
         lambda at: ["--motion", gvhmr(at / "a.pt", poses(float("nan")))],
@@ -78,7 +78,7 @@ CASES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     ),
     "a glTF without skin": (
         lambda at: ["--body", doll(at / "d.glb", without_skin)],
-        "d.glb has no skin: no mesh in it hangs on bones",
+        "d.glb has no skin: no mesh in it is bound to bones",
     ),
     "a glTF flattened by a scale": (
         lambda at: ["--body", doll(at / "d.glb", flat)],
@@ -89,7 +89,7 @@ CASES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
             "--body",
             doll(at / "d.glb", lambda d: d.update(extensionsRequired=["KHR_draco_mesh_compression"])),
         ],
-        "d.glb is compressed by Draco, which is not read",
+        "d.glb is compressed by Draco, which pb4u does not read",
     ),
     "a texture that is missing": (lambda at: ["--texture", at / "print.png"], "There is no image"),
     "an Alembic file without rights": (lambda at: ["--out", at / "locked/run.abc"], "locked cannot be written to"),

@@ -60,11 +60,11 @@ def test_failed_clips_are_listed_and_end_with_1(pb4u: Callable, jobs: Callable[[
         (
             "[product]\nseed = { first = 0, count = 1000000 }\n",
             (),
-            "describes 1,000,000 clips, and 100,000 are the most",
+            "describes 1,000,000 clips; a data set has at most 100,000",
         ),
-        ("[product]\nseed = [0, 1, 2]\n", ("--most-clips", 2), "describes 3 clips, and 2 are the most"),
+        ("[product]\nseed = [0, 1, 2]\n", ("--most-clips", 2), "describes 3 clips; a data set has at most 2"),
         ("[[clips]]\n", ("--workers", 0), "workers must be 1 or more"),
-        ("[[clips]]\n", ("--format", "webdataset", "--clips-per-shard", 0), "A shard has 1 clip or more"),
+        ("[[clips]]\n", ("--format", "webdataset", "--clips-per-shard", 0), "A shard must have 1 clip or more"),
         ("[[clips]]\n", ("--json", "jobs.toml"), "--json jobs.toml would overwrite jobs.toml"),
     ],
 )

@@ -33,7 +33,7 @@ def test_what_cannot_be_converted_is_told_in_a_sentence_and_writes_nothing(
     broken, out = tmp_path / "broken.pth", tmp_path / "out.safetensors"
     broken.write_bytes(b"PK\x03\x04 and no more")
     for arguments, told in (
-        ((broken, out), "is not a torch file"),
+        ((broken, out), "is not a complete file of torch.save"),
         ((tmp_path / "absent.pth", out), "There is no checkpoint"),
         ((broken, tmp_path / "out.pth"), "written as .safetensors"),
         ((broken, tmp_path / "no" / "out.safetensors"), "does not exist"),

@@ -64,7 +64,7 @@ def test_killed_in_mid_run_it_goes_on_where_it_was(pb4u: Callable, tmp_path: Pat
         (("--motions", "wlak"), "did you mean walk"),
         (("--motions", "07_02"), "--recordings"),
         (("--levels", "12Q"), "no level '12Q'"),
-        (("--propagation-steps", "5,many"), "'many' is none"),
+        (("--propagation-steps", "5,many"), "not 'many'"),
         (("--workers", 0), "1 or more, not 0"),
         (("--refine", -1), "0 or more, not -1"),
         (("--json", "absent/r.json"), "does not exist"),

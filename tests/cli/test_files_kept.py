@@ -37,7 +37,7 @@ lock.acquire()
 print("held", flush=True)
 input()
 """
-KEPT_FOR = ", for `pb4u view` and `pb4u convert`; `pb4u simulate` does not go on from there."
+KEPT_FOR = ", for `pb4u view` and `pb4u convert`; `pb4u simulate` cannot continue from there."
 FRAMES = ("--model", "skinning", "--lead-in", 0, "--frames", 2)
 
 

@@ -135,7 +135,7 @@ def test_no_file_is_read_by_running_it(tmp_path: Path, kind: str) -> None:
                 torch.save(content, path)
             else:
                 path.write_bytes(pickle.dumps(content))
-            with pytest.raises(InputError, match="nothing in it was run"):
+            with pytest.raises(InputError, match="nothing in the file was run"):
                 (read_released if kind == "checkpoint" else READERS[kind])(path)
             assert not list(tmp_path.glob("proof*"))
 
@@ -150,7 +150,7 @@ def test_no_file_is_read_by_running_it(tmp_path: Path, kind: str) -> None:
         (["--motion", "{files}/garments_dict.pkl"], "has no body_pose"),
         (["--body", "woman"], "of the SMPL family"),
         (["--omitted", "{files}/recording.pkl"], "vertex_type"),
-        (["--model", "{files}/recording.pkl"], "no whole safetensors file"),
+        (["--model", "{files}/recording.pkl"], "not a complete safetensors file"),
         (["--crop", "5:90"], "not inside the recording"),
     ],
 )

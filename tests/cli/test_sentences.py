@@ -29,7 +29,7 @@ SENTENCES = {
     "simulate --fps 0": "--fps must be a number from 1 to 1,000, not 0.0.",
     "simulate --triangles 10": "A built-in garment has between 200 and 200000 triangles, not 10.",
     "simulate --out absent/a.npz": "The folder absent does not exist; make it first.",
-    "simulate --out a.xyz": ".xyz is not a format that is written; end the name of the file in one of .npz, .obj, "
+    "simulate --out a.xyz": ".xyz is not a format that is written; give the file one of the suffixes .npz, .obj, "
     ".pc2, .mdd, .abc, .usdc, .usda, .usdz, .glb, .png, .jpg, .gif, .mp4, .pkl.",
     "simulate scene.toml": "scene.toml: [scene] has no entry 'motoin'; did you mean motion or raw_motion?",
     "simulate absent.toml": "There is no scene file absent.toml.",
@@ -42,7 +42,7 @@ SENTENCES = {
     "evaluate --out r --protocol resolutions": "There is no protocol 'resolutions'; did you mean resolution? There are "
     "resolution, unseen, depth, efficiency, ablation, controls, robustness.",
     "evaluate --out r --workers 0": "The number of workers must be 1 or more, not 0.",
-    "train": "Give --out FOLDER for a new training, or --resume FOLDER to go on with one.",
+    "train": "Give --out FOLDER for a new training, or --resume FOLDER to continue one.",
     "train --out r --preset smal": "There is no training preset 'smal'; did you mean small? There are paper, literal, "
     "literal_small, small, wide, comparison, smoke.",
     "train --out r --set batc=2": "There is no setting 'batc'; did you mean batch?",

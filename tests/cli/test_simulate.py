@@ -42,7 +42,7 @@ def test_pictures_take_their_look_from_flags_and_other_files_do_not_mind(pb4u: C
     assert min(red.sum(), green.sum()) > 100
     refused = pb4u(*flags, "--out", tmp_path / "b.npz")
     assert refused.code == 1
-    assert ".npz holds no picture" in refused.err
+    assert ".npz is not a picture" in refused.err
     assert not (tmp_path / "b.npz").exists()
 
 
@@ -115,11 +115,11 @@ def test_a_limb_through_the_cloth_is_warned_of_with_and_without_a_report(
         searched.clear()
         ended = pb4u(*flags, *report)
         assert searched == [0, 1], "each frame once"
-        assert "Limbs have gone through the cloth from frame 0 on" in ended.err
+        assert "Limbs have passed through the cloth from frame 0 on" in ended.err
         assert ended.err.count("skinning has no physics, --model quick-solver has") == 1
         assert "--triangles" not in ended.err
     assert json.loads((tmp_path / "r.json").read_text())["limbs_through_cloth"][0]["triangles"] == 5000
-    assert "Limbs have gone through the cloth" in json.loads((tmp_path / "r.json").read_text())["notes"][-1]
+    assert "Limbs have passed through the cloth" in json.loads((tmp_path / "r.json").read_text())["notes"][-1]
 
 
 def test_tells_the_files_that_it_wrote_when_they_are_there(
@@ -397,7 +397,7 @@ def test_a_number_out_of_range_is_refused_whatever_the_model(
         (("--body", "smpl"), "give the file of the model"),
         (("--material", "polyester"), "did you mean polyester-plain"),
         (("--recorded-fps", 60), "was not recorded; leave out"),
-        (("--texture", "clip.mp4"), "is no image"),
+        (("--texture", "clip.mp4"), "is not an image"),
     ],
 )
 def test_what_was_meant_is_told(

@@ -49,7 +49,7 @@ def test_check_and_simulate_find_the_same(pb4u: Callable, tmp_path: Path, case: 
     simulated = pb4u("simulate", "--garment", path, "--model", "skinning", "--frames", 1, "--out", *out)
     refused = any(code.endswith("!") for code in codes)
     assert (checked.code, simulated.code) == (refused, refused)
-    sentences = [each["sentence"][:-1].partition(", first faces")[0] for each in found["findings"]]
+    sentences = [each["sentence"][:-1].partition(", the first faces")[0] for each in found["findings"]]
     if refused:
         assert sentences[0] in simulated.err
         return

@@ -30,7 +30,7 @@ def napkin(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (["--wind", "0,0,3", "--air", "off"], "wind moves nothing where there is no air"),
+        (["--wind", "0,0,3", "--air", "off"], "wind has no effect without air"),
         (["--gravity", "0,9"], "it takes three numbers X,Y,Z such as 0,-1.62,0; not '0,9'"),
         (["--gravity", "0,nan,0"], "--gravity must be three finite numbers"),
         (["--air-density", "-1"], "--air-density must be a number, 0 or more, not -1.0"),
@@ -83,10 +83,10 @@ def test_pins_hold_it_in_another_gravity(pb4u: Callable, napkin: Path, tmp_path:
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (["--garment", "dress"], "dress is made on the body that wears it, and body none has none"),
-        (["--motion", "walk"], "motion is of a body, and body none has none; leave it out"),
-        (["--body-shape", "height=0.7"], "body-shape is of a body"),
-        (["--as-recorded"], "as-recorded is of a body"),
+        (["--garment", "dress"], "dress is fitted to the body that wears it, but --body none gives none"),
+        (["--motion", "walk"], "motion needs a body, but --body none gives none; leave it out"),
+        (["--body-shape", "height=0.7"], "body-shape needs a body"),
+        (["--as-recorded"], "as-recorded needs a body"),
         (["--ground", "0.5"], "napkin reaches 0.30 m below the ground; raise it, or give --ground 0.20 or"),
     ],
 )

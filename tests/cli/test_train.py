@@ -77,7 +77,7 @@ def test_a_training_begins_with_given_weights_and_says_so(pb4u: Call, pack: Path
     assert after.configuration == before.configuration
     for (name, a), b in zip(before.model.state_dict().items(), after.model.state_dict().values(), strict=True):
         assert torch.allclose(a, b, rtol=0.0, atol=1e-9), name
-    assert after.licence == "unknown: ask whoever trained it; it began with weights under CC-BY-4.0"
+    assert after.licence == "unknown: ask whoever trained it; it started from weights under CC-BY-4.0"
     assert after.record.optimiser_steps == 8
     assert after.record.details["before"]["optimiser_steps"] == 6
     # What it began with is needed no more.
@@ -162,7 +162,7 @@ def test_of_a_training_s_folder_the_best_weights_are_the_model(
         (("--out", "run", "--weights", "pb4u-small", "--set", "network.width=4"), "bring their own network"),
         (("--out", "run", "--weights", "pb4u-small", "--set", "network=hood_small"), "bring their own network"),
         (("--out", "run", "--weights", "pb4u-small", "--preset", "wide"), "add --set network.conjugate=True"),
-        (("--resume", "."), "is no folder of a training"),
+        (("--resume", "."), "is not a folder of a training"),
         (("--out", "run", "--device", "tpu", "--pack", "pack.npz"), "auto, cpu or cuda"),
     ],
 )
@@ -199,10 +199,10 @@ def test_a_pack_of_built_in_assets_can_be_trained_on(pb4u: Call, tmp_path: Path)
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("pack.zip",), "is an .npz"),
+        (("pack.zip",), "is written as .npz"),
         (("absent/pack.npz",), "does not exist"),
         (("pack.npz", "--json", "absent/r.json"), "does not exist"),
-        (("pack.npz", "--set", "data.bodies=nobody"), "is none"),
+        (("pack.npz", "--set", "data.bodies=nobody"), "not 'nobody'"),
         (("pack.npz", "--preset", "smoke", "--set", "data.motions=fly"), "no built-in motion 'fly'"),
         (("pack.npz", "--preset", "smoke", "--recordings", "."), "nor a CMU recording"),
     ],

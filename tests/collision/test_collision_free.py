@@ -94,7 +94,7 @@ def test_what_touches_nothing_arrives(name: str) -> None:
     turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     for wanted in (surface.before + [9.0, -1.0, 4.0], 1.5 * surface.before, surface.before.copy()):
         assert collision_free(surface.tree, surface.before, wanted, masses) is wanted
-    # A quarter turn is no linear move: what is asked of it is allowed to end elsewhere, but crosses nowhere.
+    # A quarter turn is not a linear move: what is asked of it is allowed to end elsewhere, but crosses nowhere.
     require_kept(surface, collision_free(surface.tree, surface.before, surface.before @ turn, masses))
 
 

@@ -179,7 +179,7 @@ def test_refusals() -> None:
     mesh = box()
     with pytest.raises(InputError, match="not finite"):
         posed(mesh).nearest(np.array([[np.nan, 0.0, 0.0]]))
-    with pytest.raises(InputError, match="contact region is empty"):
+    with pytest.raises(InputError, match="contact region of the body is empty"):
         TriangleSurface(np.asarray(mesh.faces), len(mesh.vertices), np.zeros(len(mesh.vertices), dtype=bool))
     with pytest.raises(InputError, match="8 vertices"):
         TriangleSurface(np.asarray(mesh.faces), len(mesh.vertices)).at(np.zeros((7, 3)))

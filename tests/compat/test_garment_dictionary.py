@@ -114,8 +114,8 @@ def _changed(fields: dict[str, Any], **changes: Any) -> dict[str, Any]:
         ({"weights": 1.0}, "", "holds no garments"),
         (_changed(garment_fields(), rest_pos=np.zeros((20, 2))), "", r"not \(vertices = 20, 3\)"),
         (_changed(garment_fields(), rest_pos=np.full((20, 3), np.nan)), "", "other than finite numbers"),
-        (_changed(garment_fields(), faces=np.array([[0, 1, 99]])), "", "points outside of its 20 vertices"),
-        (_changed(garment_fields(), faces=np.array([[0, 1, -2]])), "", "points outside of its 20 vertices"),
+        (_changed(garment_fields(), faces=np.array([[0, 1, 99]])), "", "has indices beyond its 20 vertices"),
+        (_changed(garment_fields(), faces=np.array([[0, 1, -2]])), "", "has indices beyond its 20 vertices"),
         (_changed(garment_fields(), faces=np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])), "", "three or more faces"),
         (_changed(garment_fields(), node_type=np.zeros((7, 1), dtype=int)), "", "node_type"),
         (_changed(garment_fields(), lbs__v=np.zeros((7, 3))), "", "has the shape|skinning does not fit"),
@@ -138,7 +138,7 @@ def test_a_dictionary_that_asks_for_code_is_refused_and_did_not_run(tmp_path: Pa
             return os.system, (f"touch {tmp_path / 'proof'}",)
 
     path = written(tmp_path / "odd.pkl", {"a": {**garment_fields(), "extra": Touches()}})
-    with pytest.raises(InputError, match="nothing in it was run"):
+    with pytest.raises(InputError, match="nothing in the file was run"):
         read(f"{path}:a")
     assert not (tmp_path / "proof").exists()
     with pytest.raises(InputError, match="no garment file"):

@@ -155,12 +155,12 @@ def _with(content: dict[str, Any], **weights: torch.Tensor) -> dict[str, Any]:
     ("content", "told"),
     [
         ([1, 2], "not the dictionary"),
-        ({"state_dict": {"layer.weight": torch.zeros(2)}}, "no checkpoint of"),
-        ({"training_module": {}}, "no checkpoint of"),
+        ({"state_dict": {"layer.weight": torch.zeros(2)}}, "not a checkpoint of"),
+        ({"training_module": {}}, "not a checkpoint of"),
         (_without(made_checkpoint(), "decoder"), "lacks model._learned_model.decoder"),
         (_without(made_checkpoint(), "_node_normalizer"), "lacks model._node_normalizer"),
         (_without(made_checkpoint(), "processor_steps.0"), "lacks a block"),
-        (_with(made_checkpoint(), model__extra_embedding__weight=torch.zeros(2)), "no place for"),
+        (_with(made_checkpoint(), model__extra_embedding__weight=torch.zeros(2)), "does not have"),
         (_with(made_checkpoint(), model__nodetype_embedding__weight=torch.full((9, 9), torch.nan)), "not finite"),
         (
             _with(made_checkpoint(), model___learned_model__node_encoder__0__layers__0__weight=torch.zeros(8, 21)),

@@ -53,7 +53,7 @@ def test_a_result_is_read_and_comes_back_as_it_was(tmp_path: Path) -> None:
     [
         ({"pred": np.zeros((3, 4))}, "pred has the shape .3, 4., not .frames, vertices, 3."),
         ({"obstacle": np.zeros((2, 5, 3))}, "not .frames = 3, body vertices, 3."),
-        ({"cloth_faces": np.array([[0, 1, 9]])}, "cloth_faces points outside of its 4 vertices"),
+        ({"cloth_faces": np.array([[0, 1, 9]])}, "cloth_faces has indices beyond its 4 vertices"),
         ({"obstacle_faces": np.zeros((1, 3))}, "whole numbers"),
     ],
 )
@@ -65,7 +65,7 @@ def test_a_result_that_does_not_fit_itself_is_refused(tmp_path: Path, changes: d
 def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="has no obstacle"):
         read_result(written(tmp_path / "odd.pkl", {"pred": np.zeros((1, 2, 3))}))
-    with pytest.raises(InputError, match="no dictionary"):
+    with pytest.raises(InputError, match="not a dictionary"):
         read_result(written(tmp_path / "odd.pkl", [1]))
     with pytest.raises(InputError, match="There is no trajectory"):
         read_result(tmp_path / "absent.pkl")

@@ -183,7 +183,7 @@ def test_a_run_goes_on_with_what_is_missing_and_grows_with_its_file(tmp_path: Pa
     half.write_bytes(half.read_bytes()[:-9])
     _, did, said = make(runs(5), out, quick)
     assert did == [1, 3, 4]
-    assert said[0] == "5 clips, 1 done before, 3 to do, 1 failed before and left (--retry tries them again)."
+    assert said[0] == "5 clips, 1 done before, 3 to do, 1 failed before and are skipped (--retry tries them again)."
     planned, did, _ = make(runs(5), out, quick, retry=True, plan_only=True)
     assert (did, len(planned["failures"])) == ([], 1)
     made, did, _ = make(runs(5), out, lambda job: quick(plan_clips(runs(1), False, print)[0]), retry=True)
@@ -352,7 +352,7 @@ def test_other_folders_layouts_and_precisions_are_refused(tmp_path: Path) -> Non
         make(runs(1), tmp_path / "set", quick, half=True)
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter.tex").write_text("...")
-    with pytest.raises(InputError, match="is no folder of a dataset"):
+    with pytest.raises(InputError, match="is not a folder of a dataset"):
         make(runs(1), tmp_path / "thesis", quick)
 
 

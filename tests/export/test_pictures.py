@@ -76,12 +76,12 @@ def test_size_background_and_colour_are_those_of_the_flags(
     [
         (("--view", "above"), "one of front, left, back, right or an angle"),
         (("--view", "inf"), "an angle in degrees"),
-        (("--elevation", "95"), "0 to 90 degrees above the ground"),
-        (("--elevation", "nan"), "0 to 90 degrees above the ground"),
-        (("--turntable", "inf"), "are finite"),
+        (("--elevation", "95"), "0 to 90 degrees"),
+        (("--elevation", "nan"), "0 to 90 degrees"),
+        (("--turntable", "inf"), "must be finite"),
         (("--size", "0x10"), "16 to 8192"),
         (("--size", "big"), "WIDTHxHEIGHT"),
-        (("--colour", "bluish"), "no colour"),
+        (("--colour", "bluish"), "not a colour"),
     ],
 )
 def test_a_view_that_is_none_is_refused(
@@ -96,7 +96,7 @@ def test_a_view_that_is_none_is_refused(
 def test_a_view_of_a_file_without_pictures_is_refused(convert: Convert, trajectory: Trajectory, tmp_path: Path) -> None:
     code, error = convert(trajectory.save(tmp_path / "t.npz"), tmp_path / "t.pc2", "--view", "back")
     assert code == 1
-    assert "holds no picture" in error
+    assert "is not a picture" in error
 
 
 @pytest.mark.parametrize(

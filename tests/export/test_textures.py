@@ -89,7 +89,7 @@ def test_a_texture_that_is_missing_or_no_image_is_refused(tmp_path: Path) -> Non
     with pytest.raises(InputError, match="There is no image"):
         read_image(tmp_path / "none.png")
     (tmp_path / "text.png").write_text("no image")
-    with pytest.raises(InputError, match=r"text\.png is no image"):
+    with pytest.raises(InputError, match=r"text\.png is not an image"):
         read_image(tmp_path / "text.png")
     Image.new("RGB", (4, 4), RED).save(tmp_path / "old.bmp")
     assert read_image(tmp_path / "old.bmp").startswith(b"\x89PNG")

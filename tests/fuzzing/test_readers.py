@@ -52,7 +52,7 @@ def _is_none(path: Path) -> None:
 
 
 def _refuses(path: Path) -> None:
-    raise InputError("it is no file")
+    raise InputError("it is not a file")
 
 
 @pytest.mark.parametrize(

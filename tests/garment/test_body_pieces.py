@@ -72,7 +72,7 @@ def test_an_avatar_among_clothes_is_refused_by_its_name(tmp_path: Path) -> None:
     found = diagnose(source, body, path, "woman").findings[0]
     assert found.code == "body"
     assert found.sentence.startswith("Its object My Avatar is a body, no garment")
-    with pytest.raises(InputError, match=r"^both: Its object My Avatar is a body.*export the clothes alone"):
+    with pytest.raises(InputError, match=r"^both: Its object My Avatar is a body.*export only the clothes"):
         load_garment(WornGarment(path), body)
     alone = tmp_path / "alone.obj"
     write_obj(alone, PolygonMesh(body.vertices, tuple(body.faces)))

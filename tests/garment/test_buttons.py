@@ -103,9 +103,9 @@ def test_buttons_are_at_even_distances_and_keep_the_cloth() -> None:
 @pytest.mark.parametrize(
     ("garment", "count", "why"),
     [
-        (coat(), 3, "3 buttons are 0.33 m apart on its front of 1.00 m; give 4 or more"),
-        (coat(gap=0.3), 5, "the borders of its front lie 2. cm apart or more; buttons close what is within 10 cm"),
-        (coat(), 60, "60 buttons are closer to each other than the vertices of its front; give fewer"),
+        (coat(), 3, "3 buttons would be 0.33 m apart on its front of 1.00 m; give 4 or more"),
+        (coat(gap=0.3), 5, "the borders of its front lie 2. cm apart or more; buttons close gaps of up to 10 cm"),
+        (coat(), 60, "60 buttons would be closer to each other than the vertices of its front; give fewer"),
     ],
 )
 def test_buttons_that_cannot_be_are_refused_in_one_sentence(garment: Garment, count: int, why: str) -> None:
@@ -114,7 +114,7 @@ def test_buttons_that_cannot_be_are_refused_in_one_sentence(garment: Garment, co
 
 
 def test_closed_garments_and_no_buttons_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="skirt is not open in front, where buttons close a garment"):
+    with pytest.raises(InputError, match="skirt is not open in front, so it has no place for buttons"):
         load_garment(WornGarment("skirt", triangles=600, buttons=3), load_body("woman"))
     with pytest.raises(InputError, match="buttons must be a whole number from 1 to 100, not 0"):
         WornGarment("cardigan", buttons=0)

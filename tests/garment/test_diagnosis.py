@@ -215,7 +215,7 @@ def test_a_garment_that_crosses_itself_is_told_where_and_untangled_by_simulation
     assert told.severity is Severity.WARNING
     assert told.sentence.startswith("The garment crosses itself in ")
     assert "pairs of triangles around (" in told.sentence
-    assert "simulation untangles its start, by at most" in told.fix
+    assert "the simulation untangles it at its start, by at most" in told.fix
     assert diagnosis.measures["self_intersections"] > 10
     centres = dented(0.62).vertices[np.stack(dented(0.62).polygons)[list(told.where)]].mean(axis=1)
     assert np.abs(centres[:, 1] - 0.8).max() < 0.1

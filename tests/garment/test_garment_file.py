@@ -65,7 +65,7 @@ def test_oddities_are_warned_of_and_left_out(tmp_path):
     said = " ".join(str(w.message) for w in caught)
     assert all(w.category is InputWarning for w in caught)
     for part in (
-        "1 face(s) are there twice",
+        "1 face(s) exist twice",
         "1 triangle(s) have no area",
         "1 vertices belong to no face",
         "2 pieces",
@@ -86,7 +86,7 @@ def test_open_seams_and_turned_faces_are_said(tmp_path):
         read_garment(saved(tmp_path, with_open_seam(mesh)), CLOTH)
     faces = np.stack(mesh.polygons)
     faces[5] = faces[5][::-1]
-    with pytest.warns(InputWarning, match="1 face.s. are turned over"):
+    with pytest.warns(InputWarning, match="1 face.s. are flipped"):
         garment = read_garment(saved(tmp_path, PolygonMesh(mesh.vertices, tuple(faces))), CLOTH)
     assert garment.topology.is_consistently_oriented
 

@@ -161,5 +161,5 @@ def test_a_face_across_the_direction_follows_its_neighbours() -> None:
 
 
 def test_a_direction_for_what_has_a_grain_is_refused() -> None:
-    with pytest.raises(InputError, match="leave --grain out"):
+    with pytest.raises(InputError, match="leave out --grain"):
         grained(grained(strip(0.0)), (0.0, 1.0, 0.0))

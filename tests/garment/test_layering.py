@@ -111,9 +111,9 @@ def test_an_outfit_that_cannot_be_parted_is_refused_by_name_count_and_place() ->
     with pytest.raises(InputError) as refusal:
         untangled_start(garments, np.concatenate(layered(garments, RestBody.of(body))))
     said = str(refusal.value)
-    assert said.startswith("The start cannot be untangled: dress and trousers cross in ")
+    assert said.startswith("The starting position cannot be untangled: dress and trousers cross in ")
     assert "pairs of triangles around (" in said
-    assert said.endswith("wear them in another order, or simulate with --self-contact off.")
+    assert said.endswith("give the garments in another order, or simulate with --self-contact off.")
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 8))])

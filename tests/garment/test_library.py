@@ -278,5 +278,5 @@ def test_a_body_that_lies_at_rest_is_refused() -> None:
         faces=woman.faces[:, ::-1],
         skeleton=type(skeleton)(skeleton.names, skeleton.parents, skeleton.joints[:, [0, 2, 1]]),
     )
-    with pytest.raises(InputError, match='"lying" lies or bends at rest; turn its file'):
+    with pytest.raises(InputError, match='"lying" lies or bends in its rest pose; turn its file'):
         build_garment("tshirt", lying, SMALL)

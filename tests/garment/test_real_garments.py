@@ -87,7 +87,7 @@ def test_shorts_pushed_out_of_another_s_body_do_not_cross_themselves(test_data, 
     assert diagnose(mended, bodies["m"]).measures["self_intersections"] == 0
     assert changes[-1] == "Untangled 3 pairs of triangles that the push had made cross."
     # What is only doubted is not said to be mended.
-    assert left == ("Front and back fit alike: Z up, facing -Y was taken, Z up, facing +Y is as likely.",)
+    assert left == ("Front and back fit equally well: Z up, facing -Y was chosen, Z up, facing +Y is as likely.",)
 
 
 MOVED = ("croptop_f_lod1", "longsleeve_m_lod0", "pants_f_lod0", "shorts_f_lod0", "tights_f_lod0", "tshirt_f_lod0",

@@ -73,9 +73,9 @@ def test_faces_turned_over_are_counted_alike_by_who_finds_and_who_turns_them(tmp
     turned = replace(mesh, polygons=tuple(p[::-1] if 80 <= k < 160 else p for k, p in enumerate(mesh.polygons)))
     turned = replace(turned, uvs=None, polygon_uvs=None)
     (found,) = (each.sentence for each in diagnose(turned).findings if each.code == "orientation")
-    assert found.startswith("80 face(s) are turned over")
+    assert found.startswith("80 face(s) are flipped")
     assert repair(turned)[1] == ("Turned 80 face(s) over to agree with their neighbours.",)
-    with pytest.warns(InputWarning, match="80 face.s. are turned over"):
+    with pytest.warns(InputWarning, match="80 face.s. are flipped"):
         read_garment(saved(tmp_path, turned), CLOTH)
 
 

@@ -83,7 +83,7 @@ def test_the_layer_farther_from_the_body_is_the_outer_one() -> None:
 def test_simulation_tells_of_double_cloth_too(tmp_path: Path) -> None:
     path = saved(tmp_path, thick(0.002, True))
     with pytest.warns(
-        InputWarning, match=rf"9\d% of the cloth lies double.*keep the outer layer only with .*{path} --fix"
+        InputWarning, match=rf"9\d% of the cloth is double.*keep the outer layer only with .*{path} --fix"
     ):
         read_garment(path, CLOTH)
 
@@ -109,14 +109,14 @@ def with_pocket() -> PolygonMesh:
 def test_a_pocket_is_told_and_taken_off(tmp_path: Path) -> None:
     mesh, tube = with_pocket(), triangle_tube()
     found = finding(mesh, "non-manifold")
-    assert "39 faces are sewn on there, as a pocket or a flap is" in found.sentence
+    assert "39 faces are sewn on there, such as a pocket or a flap" in found.sentence
     assert found.mendable
-    with pytest.raises(InputError, match=r"three or more faces.*sewn on there.*take them off.* with `pb4u check"):
+    with pytest.raises(InputError, match=r"three or more faces.*sewn on there.*remove them.* with `pb4u check"):
         read_garment(saved(tmp_path, mesh), CLOTH)
     mended, said, _ = repair(mesh)
     assert said == (
-        "Took off 39 faces that were sewn on, as a pocket or a flap is.",
-        "Dropped 1 face(s) without area or there twice.",
+        "Removed 39 faces of parts sewn on, such as pockets or flaps.",
+        "Dropped 1 face(s) without area or repeated.",
     )
     np.testing.assert_array_equal(mended.vertices, tube.vertices)
     np.testing.assert_array_equal(np.stack(mended.polygons), np.stack(tube.polygons))
@@ -211,7 +211,7 @@ def test_threads_that_are_not_sewn_are_told(tmp_path: Path) -> None:
     assert mesh.lines.tolist() == [[0, 1], [2, 199], [199, 399], [839, 4]]
     # The first is an edge of the cloth, such as a seam that was drawn.
     found = finding(mesh, "unsewn")
-    assert "3 lines of its file join vertices as threads of a seam, first 2-199, 199-399, 839-4" in found.sentence
+    assert "3 lines of its file join vertices like threads of a seam, the first 2-199, 199-399, 839-4" in found.sentence
     with pytest.warns(InputWarning, match="3 lines of its file join vertices.*they are not sewn"):
         read_garment(path, CLOTH)
 
@@ -222,6 +222,7 @@ def test_faces_without_uvs_among_others_are_told() -> None:
     assert mesh.polygon_uvs is not None
     bare = tuple(np.zeros(4, dtype=np.int64) if k < 3 else corners for k, corners in enumerate(mesh.polygon_uvs))
     assert (
-        "3 of its 800 faces have no UVs, first 0, 1, 2" in finding(replace(mesh, polygon_uvs=bare), "no-uvs").sentence
+        "3 of its 800 faces have no UVs, the first 0, 1, "
+        "2" in finding(replace(mesh, polygon_uvs=bare), "no-uvs").sentence
     )
     assert "no-uvs" not in diagnose(mesh).codes

@@ -48,8 +48,8 @@ def test_the_authors_vertices_stay_and_both_ends_go_with_the_seam() -> None:
     ("gap", "tack", "why"),
     [
         (2.0, (4, 6), "200 cm apart; choose vertices within 10 cm"),
-        (0.02, (4, 12), "names a vertex that is not there; it has 12"),
-        (0.02, (4, -1), "names a vertex that is not there"),
+        (0.02, (4, 12), "names a vertex that does not exist; the garment has 12"),
+        (0.02, (4, -1), "names a vertex that does not exist"),
         (0.02, (4, 4), "the tack 4:4 sews a vertex to itself"),
         (0.02, (4, 5), "fold a triangle"),
     ],
@@ -64,7 +64,7 @@ def test_tacks_are_kept_in_a_scene_file(tmp_path) -> None:
     again = Run.open(run.save(tmp_path / "scene.toml"))
     assert again.garments[0].tacks == ((1, 2), (3, 4))
     assert again.garments[1].tacks == ()
-    with pytest.raises(InputError, match="Tacks are pairs"):
+    with pytest.raises(InputError, match="Tacks must be pairs"):
         WornGarment("tshirt", tacks=[[1, 2, 3]])
 
 

@@ -101,5 +101,5 @@ def test_an_stl_is_read_as_programs_write_it(tmp_path: Path, kind: str) -> None:
      ("a.abc", "OBJ of a garment"), ("a.dxf", "SVG")],
 )  # fmt: skip
 def test_a_file_of_another_program_is_refused_with_a_way_out(tmp_path: Path, name: str, way_out: str) -> None:
-    with pytest.raises(InputError, match=f"{name} is of no kind of garment file.*{way_out}"):
+    with pytest.raises(InputError, match=f"{name} is not a kind of garment file.*{way_out}"):
         read_source(tmp_path / name)

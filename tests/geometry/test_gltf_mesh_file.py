@@ -141,7 +141,7 @@ def test_a_mirrored_mesh_keeps_its_outside(tmp_path: Path) -> None:
     ("document", "says"),
     [
         ({"nodes": [{"children": [1]}, {"children": [0], "mesh": 0}], "scenes": [{"nodes": [0]}]}, "two parents"),
-        ({"nodes": [{"translation": [1e400, 0, 0], "mesh": 0}]}, "node 0 has no finite place"),
+        ({"nodes": [{"translation": [1e400, 0, 0], "mesh": 0}]}, "node 0 has no finite position"),
         ({"nodes": [{}]}, "no faces"),
         ({"nodes": [{"mesh": 7}]}, "cannot be read as a mesh"),
     ],

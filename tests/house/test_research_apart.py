@@ -77,7 +77,7 @@ REFUSALS = {
     "pb4u.load_simulator('literal')": "no model 'literal';",
     "pb4u.load_simulator('absent.pth')": "There is no model file absent.pth",
     "pb4u.make_scene('absent.pkl:dress')": "no dictionary of garments '.pkl'; there are none.",
-    "pb4u.make_scene(motion='absent.pkl', as_recorded=True)": "To play a recording as recorded, give its file",
+    "pb4u.make_scene(motion='absent.pkl', as_recorded=True)": "To play a recording as recorded, give its",
     "check_target(Path('a.pkl'))": ".pkl is not a format that is written",
     "with_settings(TrainingConfiguration(), ['network=hood'])": "no network preset 'hood'; there are none.",
     "TRAININGS.named('small')": "no training preset 'small'; there are none.",

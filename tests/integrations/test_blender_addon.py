@@ -111,7 +111,7 @@ bpy.ops.pb4u.remove_result()
 seen["removed"] = [m.name for m in skirt.modifiers]
 """)
     assert seen["found"] == ["FINISHED"]
-    assert seen["checked"] == [["FINISHED"], "Nothing to mend."]
+    assert seen["checked"] == [["FINISHED"], "Nothing to repair."]
     assert seen["status"] == "4 frames are there."
     assert seen["stack"] == ["pb4u", "Subdivision"]
     assert seen["frame"] == 4  # the newest, as asked for
@@ -412,7 +412,7 @@ seen["face"] = sorted(skirt.data.polygons[200].vertices)
     by_fix = {fix: (each, sentence, vertices) for each, _, sentence, fix, vertices in seen["findings"]}
     each, sentence, vertices = by_fix["Mesh > Merge > By Distance"]
     assert each == "Skirt"
-    assert "15 border vertices lie on top of others" in sentence
+    assert "15 border vertices coincide with others" in sentence
     assert len(vertices) == 15
     assert by_fix["Mesh > Normals > Recalculate Outside"][2] == seen["face"] == seen["selected"]
     assert seen["marked"] == sorted({index for *_, found in seen["findings"] for index in found})

@@ -77,7 +77,7 @@ def test_several_libraries_of_one_line_are_read_and_missing_ones_are_told_of(tmp
     with pytest.warns() as told:
         looks = read_obj(obj).appearances
     assert [str(each.message) for each in told] == [
-        "b.mtl: the colour Kd spectral x.rfl is not three numbers; it is left out.",
+        "b.mtl: the colour Kd spectral x.rfl is not three numbers; it is ignored.",
         "worn.obj: the MTL file none at all.mtl is missing; put it beside the file to see its colours.",
     ]
     assert looks is not None

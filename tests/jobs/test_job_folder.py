@@ -33,7 +33,7 @@ def kept(path: Path) -> Path:
         (InputError("no such\n garment."), "no such garment."),
         (MemoryError(), "There is not enough memory for this; ask for fewer triangles or frames."),
         (OSError(28, "No space left on device", "clip.npz"), "No space left on device (clip.npz)."),
-        (KeyError("a"), "It broke off unexpectedly: KeyError: 'a'"),
+        (KeyError("a"), "It ended with an unexpected error: KeyError: 'a'"),
     ],
 )
 def test_whatever_goes_wrong_is_told_in_a_sentence(error: Exception, sentence: str) -> None:
@@ -134,9 +134,9 @@ def test_other_protocols_and_other_folders_are_refused(tmp_path: Path) -> None:
     other = tmp_path / "thesis"
     other.mkdir()
     (other / "chapter.tex").write_text("...")
-    with pytest.raises(InputError, match="no folder of an evaluation"):
+    with pytest.raises(InputError, match="not a folder of an evaluation"):
         opened(other)
-    with pytest.raises(InputError, match="no folder of an evaluation"):
+    with pytest.raises(InputError, match="not a folder of an evaluation"):
         opened(other / "chapter.tex")
     assert [entry.name for entry in other.iterdir()] == ["chapter.tex"]
 

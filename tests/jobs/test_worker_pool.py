@@ -134,5 +134,5 @@ def test_impossible_pools_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_address_without_a_cluster_is_refused() -> None:
     pytest.importorskip("ray", reason='needs the "ray" extra')
     for address in ("auto", "127.0.0.1:1", "ray://127.0.0.1:1", "127.0.0.1:many"):
-        with pytest.raises(InputError, match=f"no Ray cluster to reach at {address}"):
+        with pytest.raises(InputError, match=f"No Ray cluster can be reached at {address}"):
             RayPool(address, attempt)

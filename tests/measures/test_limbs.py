@@ -120,8 +120,10 @@ def test_the_end_of_a_run_names_one_number_a_garment() -> None:
         for k, (bone, triangles) in enumerate([("upperarm01.L", 700), ("upperarm02.L", 900), ("left_elbow", None)])
     ]
     assert limbs_sentence(found, trajectory) == (
-        "Limbs have gone through the cloth from frame 2 on, in so many of 4 frames: the left upper arm (4), the left "
-        "forearm (2); --triangles 900 makes the cloth fine enough for them; --arms-away 8 holds arms off the body."
+        "Limbs have passed through the cloth from frame 2 on, each with its number of frames of 4: the left upper arm "
+        "(4), the left "
+        "forearm (2); --triangles 900 makes the cloth fine enough for these limbs; --arms-away 8 swings arms away "
+        "from the body."
     )
     toes = [{"bone": "toes.L", "first_frame": 0, "frames": 1, "garment": "tshirt", "triangles": None}]
     assert "--" not in str(limbs_sentence(toes, trajectory))
@@ -251,7 +253,7 @@ def test_a_warning_names_the_garment_the_limbs_and_one_number() -> None:
         "Frame 0: the left thigh and the right foot are through the trousers: try --triangles trousers=2200."
     ]
     assert sentences("skinning") == []
-    assert sentences("solver", contact=False)[0].endswith("nothing holds it: leave out --contact off.")
+    assert sentences("solver", contact=False)[0].endswith("nothing keeps it off the body: leave out --contact off.")
     needs = {"foot.L": ("trousers", None)}
     assert "--model solver." in sentences("quick-solver")[0]
     assert "slower" in sentences("solver")[0]

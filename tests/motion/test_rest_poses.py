@@ -74,7 +74,7 @@ def test_rotations_of_another_rest_pose_are_refused(tmp_path):
 
 def test_bones_without_a_length_are_refused(tmp_path):
     offsets = {**OFFSETS, "LeftForeArm": np.zeros(3)}
-    with pytest.raises(InputError, match="LeftArm and LeftForeArm are in one place, by its rest pose"):
+    with pytest.raises(InputError, match="LeftArm and LeftForeArm are at the same point in its rest pose"):
         load_motion(write_rested(tmp_path / "clip.bvh", {}, offsets=offsets))
 
 
@@ -86,5 +86,5 @@ def test_a_trunk_that_would_point_elsewhere_is_refused(acclaim, woman):
     for bone in ("lowerback", "upperback", "thorax"):
         text = text.replace(f"name {bone}\n    direction 0.0 1.0 0.0", f"name {bone}\n    direction 0.0 0.0 1.0")
     asf.write_text(text)
-    with pytest.raises(InputError, match=r"the trunk points \d+ degrees away .* its rest pose"):
+    with pytest.raises(InputError, match=r"the trunk points \d+ degrees away .* the rest pose"):
         Retargeting(load_motion(path).recording, woman)

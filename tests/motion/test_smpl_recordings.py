@@ -252,7 +252,7 @@ def test_pickle_that_asks_for_code_is_refused_and_does_not_run(tmp_path):
     proof = tmp_path / "ran"
     path = tmp_path / "a.pkl"
     path.write_bytes(pickle.dumps({"poses": _Touches(proof), "trans": np.zeros((1, 3))}))
-    with pytest.raises(InputError, match="nothing in it was run"):
+    with pytest.raises(InputError, match="nothing in the file was run"):
         load_motion(path)
     assert not proof.exists()
 
@@ -318,12 +318,12 @@ def test_other_usual_names_are_known(tmp_path, pose, translation):
 @pytest.mark.parametrize(
     ("name", "held", "sentence"),
     [
-        ("joints.npy", np.zeros((20, 22, 3)), "and no dictionary. .*as of HumanML3D and MDM, are not read: export BVH"),
+        ("joints.npy", np.zeros((20, 22, 3)), "not a dictionary. .*as of HumanML3D and MDM, are not read: export BVH"),
         ("results.npy", {"motion": np.zeros(3)}, "has no pred_rotmat; it holds motion. .*export BVH"),
         (
             "vibe.pkl",
             {1: {"pose": np.zeros((3, 72))}},
-            "before a camera alone, as of VIBE and PHALP, is not read: give",
+            "relative to a camera, as VIBE and PHALP write it, is not read: give",
         ),
     ],
 )

@@ -161,10 +161,10 @@ def test_a_motion_file_goes_by_its_label_and_is_pictured(tmp_path: Path) -> None
         ({"frames": 0}, "1 or more, not 0"),
         ({"lead_in": -1}, "lead_in must be a whole number, 0 or more, not -1"),
         ({"propagation_steps": (0, 1), "models": ("pb4u-small",)}, "from 1 to 500, not 0"),
-        ({"levels": ()}, "--levels names nothing"),
+        ({"levels": ()}, "--levels is empty"),
         ({"recordings": Path("absent")}, "no folder of recordings absent"),
         ({"device": "tpu"}, "no device 'tpu'"),
-        ({"seed": 7}, "--seed draws the scenes of robustness"),
+        ({"seed": 7}, "--seed is for the scenes of robustness"),
         ({"protocol": "controls", "motions": None, "recordings": Path(".")}, "has no recordings of its own"),
     ],
 )

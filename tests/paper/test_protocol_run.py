@@ -162,7 +162,7 @@ def test_failures_are_told_kept_and_tried_again_when_asked(tmp_path: Path, monke
     assert "1, 1 missing" in (out / "tables.md").read_text()
     results, did, said = run(request, out)
     assert (did, len(results["failures"])) == ([], 2)
-    assert "2 failed before and left (--retry tries them again)" in said[0]
+    assert "2 failed before and are skipped (--retry tries them again)" in said[0]
     results, did, _ = run(request, out, retry=True)
     assert (len(did), len(results["failures"])) == (2, 2)
     monkeypatch.setattr(run_job, "_scene", lambda asked, fps: ball_of(asked, cells=5))
@@ -240,7 +240,7 @@ def test_unexpected_errors_come_back_as_a_sentence(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(run_job, "_scene", broken)
     results, _, _ = run(replace(REQUEST, levels=("11K",), motions=("walk",)), tmp_path / "run")
     assert {failure["sentence"] for failure in results["failures"]} == {
-        "It broke off unexpectedly: ZeroDivisionError: division by zero"
+        "It ended with an unexpected error: ZeroDivisionError: division by zero"
     }
 
 

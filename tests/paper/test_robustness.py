@@ -67,7 +67,7 @@ def test_each_network_runs_alone_and_as_it_comes_each_beside_its_own_floor() -> 
         ({"refine": 3}, "leave out --contact, --refine and"),
         ({"scenes": 0}, "scenes must be a whole number, 1 or more"),
         ({"seed": -1}, "seed must be a whole number, 0 or more"),
-        ({"protocol": "unseen"}, "--scenes are of protocols that draw their scenes: robustness"),
+        ({"protocol": "unseen"}, "--scenes applies only to protocols that draw scenes at random: robustness"),
     ],
 )
 def test_what_does_not_fit_drawn_scenes_is_refused(change: dict[str, Any], sentence: str) -> None:

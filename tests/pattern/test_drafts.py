@@ -106,8 +106,8 @@ def test_a_circle_skirt_is_a_full_circle(body: str):
         ({"waist": None}, "measure waist, a number above 0"),
         ({"hips": -1.0}, "measure hips"),
         ({"wrist": float("nan")}, "measure wrist"),
-        ({"knee_height": 2.0}, "knee_height is 2.000 m, and crotch_height, which is above it, 0.820 m"),
-        ({"upper_arm": 9.0}, "cannot be drafted from these measures, which no body has together"),
+        ({"knee_height": 2.0}, "knee_height is 2.000 m high, and crotch_height, which must be higher, 0.820 m"),
+        ({"upper_arm": 9.0}, "cannot be drafted: no body has all of these measures"),
     ],
 )
 def test_bad_measures_are_refused_in_a_sentence(change: dict[str, float | None], told: str):

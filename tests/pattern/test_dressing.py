@@ -157,7 +157,7 @@ def test_other_archives_are_no_dressed_garments(dressed, body, tmp_path):
     members = dict(np.load(file))
     for name, value in (("faces", members["faces"] + 10_000), ("panel", members["panel"] + 4)):
         np.savez(file, **members | {name: value})
-        with pytest.raises(InputError, match="is no dressed garment"):
+        with pytest.raises(InputError, match="is not a dressed garment"):
             read_dressed(file)
 
 

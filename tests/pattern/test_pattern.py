@@ -86,10 +86,10 @@ CROSSED = [[0, 0], [40, 40], [40, 0], [0, 40]]
         (_stitched(), "is in 2 parts: no seam joins b to a"),
         (_panels(vertices=CROSSED), "Panel a: edges 0 and 2 cross"),
         (_panels(vertices=[[0, 0], [1, 0], [1, 0], [0, 0]]), "Panel a: edge 1 has no length"),
-        (_panels(vertices=[[0, 0], [20, 0], [60, 0], [20, 1e-5]], edges=PLAIN), "which is no cloth"),
+        (_panels(vertices=[[0, 0], [20, 0], [60, 0], [20, 1e-5]], edges=PLAIN), "too small for a piece of cloth"),
         (_panels(edges=[{"endpoints": [0, 1]}, {"endpoints": [2, 3]}]), "the outline of panel a is open: edge 0"),
         (_panels(edges=[{"endpoints": [0, 7]}]), "panel a has no vertex 7"),
-        (_panels(vertices=[[0, 0], [4, 0], [4, 3], [0, 3]]), "no gathers take up more than 6 to 1"),
+        (_panels(vertices=[[0, 0], [4, 0], [4, 3], [0, 3]]), "gathers can take up at most 6 to 1"),
         (_panels(vertices=[["x", 0]]), "panel a is not as GarmentCode writes it"),
         (_panels(vertices=[[0, 0], [np.nan, 0], [4, 3], [0, 3]]), "must be finite numbers"),
         (_stitched(("a", 1.5, "b", 3)), "stitch 0 is not as GarmentCode writes it"),
@@ -133,7 +133,7 @@ def test_a_curve_that_crosses_another_edge_is_refused():
 def test_other_json_is_no_pattern(tmp_path):
     file = tmp_path / "cloth.json"
     file.write_text('{"density": 0.2}')
-    with pytest.raises(InputError, match="is no sewing pattern"):
+    with pytest.raises(InputError, match="is not a sewing pattern"):
         read_pattern(file)
     file.write_text("{")
     with pytest.raises(InputError, match="is not JSON"):

@@ -53,8 +53,8 @@ def test_a_frame_of_letting_go_is_of_the_same_time_at_another_rate() -> None:
 @pytest.mark.parametrize(
     ("garment", "options", "says"),
     [
-        ("skirt", {"pins_until": 4}, "The pins of skirt cannot let go at frame 4: the last is 3"),
-        ("tshirt", {"pin_stiffness": 100.0}, "Nothing pins tshirt, so its pins can neither give way nor let go"),
+        ("skirt", {"pins_until": 4}, "The pins of skirt cannot be released at frame 4: the last frame is 3"),
+        ("tshirt", {"pin_stiffness": 100.0}, "Nothing pins tshirt, so it has no pins to soften or release"),
     ],
 )
 def test_pins_that_cannot_give_way_are_refused(garment: str, options: dict[str, float], says: str) -> None:

@@ -63,7 +63,7 @@ def test_iterations_do_not_depend_on_resolution(scene: str) -> None:
     solutions = [Solver().minimise(step, start) for _, step, start in (coarse, fine)]
     assert all(s.converged and s.residual <= 1e-3 for s in solutions)
     assert solutions[1].iterations < 2 * solutions[0].iterations
-    # Weight on its own is no measure: it depends on where the origin is.
+    # Weight on its own is not a measure: it depends on where the origin is.
     energies = [float(s.energies.total) - float(s.energies.terms["gravity"].sum()) for s in solutions]
     assert energies[0] == pytest.approx(energies[1], rel=0.3)
 

@@ -233,7 +233,7 @@ def test_a_loaded_garment_is_remeshed_with_its_pins_and_its_author_s_mesh(
 def test_what_conflicts_with_a_loaded_object_is_refused(woman: ShapedBody) -> None:
     dance = load_motion("dance")
     for given, says in (
-        ({"body_shape": {"height": 0.7}}, "woman is a body already loaded"),
+        ({"body_shape": {"height": 0.7}}, "woman is already loaded"),
         ({"motion": dance, "crop": (0, 9)}, "dance is a motion already loaded, so --crop"),
         ({"motion": dance, "arms_away": 5.0}, "dance is a motion already loaded, so --arms-away"),
         ({"motion": object()}, "motion must be a name, a path or a Motion"),
@@ -257,8 +257,12 @@ def test_a_sequence_tells_of_a_loaded_motion_that_it_does_not_perform(woman: Sha
 def test_a_mesh_without_bones_is_said_to_stand(woman: ShapedBody) -> None:
     body = VertexSequence("scan", woman.vertices[None], woman.faces, 30.0, woman.contact)
     garment = build_garment("tshirt", woman, 400)
-    with pytest.warns(InputNote, match=r"scan is a mesh without bones, which stands still; a rigged character, or"):
+    with pytest.warns(
+        InputNote,
+        match=r"scan is a mesh without bones, which does not move; give a rigged character, "
+        "or",
+    ):
         scene = make_scene(garment, body, frames=2, lead_in=0)
-    assert any("stands still" in note for note in scene.notes)
-    with pytest.warns(InputWarning, match="scan is a mesh without bones, which stands still; the motion dance is not"):
+    assert any("does not move" in note for note in scene.notes)
+    with pytest.warns(InputWarning, match="scan is a mesh without bones, which does not move; the motion dance is not"):
         make_scene(garment, body, load_motion("dance"), frames=2, lead_in=0)

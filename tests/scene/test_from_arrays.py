@@ -36,17 +36,17 @@ def test_lists_are_taken_for_arrays_and_simulated(skirt: pb4u.Garment) -> None:
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        (lambda g: {"vertices": g.vertices.T}, r"shape \(3, \d+\), where \(vertices, 3\) belongs; transpose"),
+        (lambda g: {"vertices": g.vertices.T}, r"shape \(3, \d+\); it must be \(vertices, 3\); transpose"),
         (lambda g: {"faces": np.zeros((4, 4), dtype=int)}, "cut each quad into two triangles"),
         (lambda g: {"faces": np.where(g.faces == 5, -1, g.faces)}, r"face \d+ is .*indices run from 0 to"),
         (lambda g: {"faces": g.faces.astype(float)}, "must be whole numbers"),
         (lambda g: {"faces": [[0, 1, 2], [1, 2]]}, "lists of different lengths"),
-        (lambda g: {"vertices": np.where(g.vertices > 1.0, np.nan, g.vertices)}, "are NaN or infinite, first"),
+        (lambda g: {"vertices": np.where(g.vertices > 1.0, np.nan, g.vertices)}, "are NaN or infinite, the first"),
         (lambda g: {"vertices": "skirt.obj"}, "must be numbers"),
-        (lambda g: {"pinned": [0, 1, 2]}, r"pinned is a bool for each of its \d+ vertices"),
+        (lambda g: {"pinned": [0, 1, 2]}, r"pinned must hold one bool for each of its \d+ vertices"),
         (lambda g: {"material": "cotton"}, r"such as pb4u\.Material\.named"),
         (lambda g: {"uvs": g.vertices[:, :2]}, "belong together"),
-        (lambda g: {"uvs": g.vertices, "uv_faces": g.faces}, r"where \(uv points, 2\) belongs"),
+        (lambda g: {"uvs": g.vertices, "uv_faces": g.faces}, r"it must be \(uv points, 2\)"),
     ],
 )
 def test_arrays_that_cannot_be_a_garment_are_refused_in_one_sentence(
@@ -90,7 +90,7 @@ def test_a_body_from_arrays_is_worn_by(skirt: pb4u.Garment) -> None:
         (
             10.0 * woman.vertices,
             woman.faces,
-            'coordinates are metres, and these seem to be decimetres: give units="decim',
+            'coordinates must be in metres, and these seem to be decimetres: give units="decim',
         ),
     ):
         with pytest.raises(pb4u.InputError, match=says):

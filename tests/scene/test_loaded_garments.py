@@ -132,7 +132,9 @@ def test_what_comes_from_a_file_without_pins_is_held_by_its_waistband(
     source: str, woman: ShapedBody, leggings: Garment, tmp_path: Path
 ) -> None:
     file = sources(leggings, woman, tmp_path)[source]
-    with pytest.warns(InputNote, match="^leggings: its waistband, 20 vertices, was found and holds it") as told:
+    with pytest.warns(
+        InputNote, match="^leggings: its waistband, 20 vertices, was found and is pinned to the body"
+    ) as told:
         held = load_garment(WornGarment(file), woman)
     assert len(told) == 1
     waist = load_garment(WornGarment(file, pins="waist"), woman)
@@ -192,6 +194,6 @@ def test_all_that_is_said_of_a_garment_is_among_the_notes_of_its_scene(woman: Sh
         warnings.simplefilter("always")
         scene = make_scene(file, woman, frames=1, lead_in=0)
     said = [str(each.message) for each in caught]
-    assert any("1 face(s) are there twice" in sentence for sentence in said)
+    assert any("1 face(s) exist twice" in sentence for sentence in said)
     assert any("1 vertices belong to no face" in sentence for sentence in said)
     assert list(scene.notes) == list(dict.fromkeys(said))

@@ -320,7 +320,7 @@ def test_a_scene_that_a_card_has_no_room_for_is_refused_before_its_first_step(mo
     timeline = simulator.timeline(scene)
     assert timeline.colliders.capacities is not None
     monkeypatch.setattr("torch.cuda.mem_get_info", lambda device: (5 * 10**5, 10**11))
-    refused = r"has 0\.0 GB left, and the scene takes about .* garments of ([\d,]+) triangles in all would fit"
+    refused = r"has 0\.0 GB free, but the scene takes about .* garments of ([\d,]+) triangles in total would fit"
     with pytest.raises(InputError, match=refused) as error:
         next(simulator.rollout(scene, RunRecord()))
     named = int(re.search(refused, str(error.value)).group(1).replace(",", ""))  # type: ignore[union-attr]

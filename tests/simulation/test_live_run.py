@@ -151,5 +151,5 @@ def test_the_body_stays_after_the_last_frame() -> None:
 def test_a_place_that_is_none_is_refused(point: tuple) -> None:
     run = live()
     run.advance()
-    with pytest.raises(InputError, match="A hand pulls to a place"):
+    with pytest.raises(InputError, match="The point to pull to"):
         hand_at(run, point, (0.0, 0.0, 0.0))

@@ -110,7 +110,7 @@ def test_cloth_at_rest_is_not_shown_larger_than_it_is() -> None:
 
 @pytest.mark.parametrize("size", [-0.1, 1.5])
 def test_a_size_that_no_descent_has_is_refused(size: float) -> None:
-    with pytest.raises(InputError, match="shown at a size"):
+    with pytest.raises(InputError, match="descent_size must be"):
         replace(TINY, descent_size=size)
 
 

@@ -146,5 +146,5 @@ def test_a_network_that_adds_nothing_ends_at_the_start(name: str) -> None:
 @pytest.mark.parametrize("network", [Pb4uConfiguration(), NETWORKS["eslr"], NETWORKS["contourcraft"]])
 @pytest.mark.parametrize("shares", [(0.0,), (-0.5,), (0.5, 1.5)])
 def test_shares_beyond_the_bodys_motion_are_refused(network: NetworkConfiguration, shares: tuple[float, ...]) -> None:
-    with pytest.raises(InputError, match="Shares of the body's motion"):
+    with pytest.raises(InputError, match="warm_start_shares must be"):
         replace(network, warm_start_shares=shares)

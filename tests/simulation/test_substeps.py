@@ -32,7 +32,7 @@ def test_a_network_at_half_its_rate_writes_every_other_frame() -> None:
 
 
 def test_a_network_keeps_its_step() -> None:
-    with pytest.raises(InputError, match="pb4u-small keeps the step that it was trained on, 1/30 s: leave --substeps"):
+    with pytest.raises(InputError, match="pb4u-small keeps the time step of its training, 1/30 s: leave out"):
         simulate(Run(SMALL, frames=2, model="pb4u-small", substeps=4))
 
 

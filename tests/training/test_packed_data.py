@@ -56,7 +56,7 @@ def test_damaged_and_foreign_packs_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a readable"):
         load_training_data(path)
     np.savez(path, foreign=np.zeros(3))
-    with pytest.raises(InputError, match="no whole training pack"):
+    with pytest.raises(InputError, match="not a complete training pack"):
         load_training_data(path)
     with pytest.raises(InputError, match="Cannot write"):
         save_training_data(ball_data(), tmp_path / "absent" / "pack.npz")

@@ -33,17 +33,17 @@ def test_a_full_disk_leaves_the_last_checkpoint_whole(tmp_path: Path, monkeypatc
 
 
 def test_folders_of_others_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no folder of a training"):
+    with pytest.raises(InputError, match="not a folder of a training"):
         RunFolder.open(tmp_path)
     (tmp_path / "letter.txt").write_text("dear")
-    with pytest.raises(InputError, match="no empty folder"):
+    with pytest.raises(InputError, match="not an empty folder"):
         RunFolder.create(tmp_path, {})
     folder = RunFolder.create(tmp_path / "run", {})
-    with pytest.raises(InputError, match="go on with --resume"):
+    with pytest.raises(InputError, match="continue it with --resume"):
         RunFolder.create(tmp_path / "run", {})
     assert folder.load_state() is None
     (folder.path / "last.safetensors").write_bytes(b"not this")
-    with pytest.raises(InputError, match="no checkpoint of a training"):
+    with pytest.raises(InputError, match="not a checkpoint of a training"):
         folder.load_state()
     (folder.path / "configuration.json").write_text('{"format_version": 99}')
     with pytest.raises(InputError, match="newer format"):

@@ -78,7 +78,7 @@ def test_an_exploding_training_goes_back_lowers_its_rate_and_says_so(monkeypatch
     assert trainer.counters.rollbacks == 1
     assert trainer.counters.rate_factor == 0.5
     assert len(listener.sentences) == 1
-    assert "coming apart; back to the weights of step" in listener.sentences[0]
+    assert "diverging; it returns to the weights of step" in listener.sentences[0]
     assert all(bool(torch.isfinite(p).all()) for p in trainer.model.parameters())
 
 
@@ -426,7 +426,7 @@ def test_validation_clips_are_spread_over_garments_sizes_and_bodies() -> None:
 
 def test_a_validation_on_training_clips_is_warned_of() -> None:
     data = ball_data()
-    with pytest.warns(InputWarning, match="on clips that are trained on"):
+    with pytest.warns(InputWarning, match="uses clips of the training"):
         Trainer(TINY, Budget(1), replace(data, clips=data.clips[:2]), ALONE, None, Listener())
 
 

@@ -135,12 +135,12 @@ def test_a_film_that_cannot_be_taken_is_said(client: MagicMock, window: BrowserW
     client.get_render.side_effect = TimeoutError
     window.film(".png")
     until(lambda: client.add_notification.called)
-    assert "keep its window in sight" in client.add_notification.call_args.args[1]
+    assert "keep its window visible" in client.add_notification.call_args.args[1]
     until(lambda: window._film is None)
     with pytest.raises(InputError, match="There is no format"):
         window.film(".exe")
     window.change(lambda state: state.load(()))
-    with pytest.raises(InputError, match="nothing to see yet"):
+    with pytest.raises(InputError, match="nothing to show yet"):
         window.film(".png")
     with pytest.raises(InputError, match=r"1,200 frames.* 1,201"):
         Film(".gif", list(range(1201)), RecordedClip(trajectory(2), "a"))

@@ -78,7 +78,7 @@ def test_a_file_with_too_many_triangles_is_refused(tmp_path: Path, monkeypatch: 
     simulation = LiveSimulation(run, hearer.advanced, hearer.ended, (tube,))
     simulation.start()
     assert simulation.join(60.0)
-    assert hearer.sentence == "tube has 576 triangles, and 500 are the most here; ask for fewer."
+    assert hearer.sentence == "tube has 576 triangles; the studio simulates at most 500: ask for fewer."
 
 
 @pytest.mark.parametrize("after", [2, 5])
@@ -111,7 +111,7 @@ def test_what_fails_becomes_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys
     assert simulation.join(60.0)
     assert hearer.ending is Ending.failed
     assert hearer.sentence == (
-        "Something unforeseen went wrong (ZeroDivisionError); the terminal shows where. The page goes on."
+        "An unexpected error occurred (ZeroDivisionError); the terminal shows where. The studio keeps running."
     )
     assert "hidden detail" in capsys.readouterr().err
 

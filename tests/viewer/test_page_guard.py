@@ -90,7 +90,7 @@ def test_a_name_made_to_point_here_is_refused(local: Studio) -> None:
     host = f"example.org:{port(local)}"
     status, sentence, _ = answer(local, Host=host)
     assert status == 403
-    assert "on this machine alone" in sentence
+    assert "only on this machine" in sentence
     request = urllib.request.Request(f"http://localhost:{port(local)}/", headers={"Origin": "https://example.org"})
     with pytest.raises(urllib.error.HTTPError, match="403"):
         urllib.request.urlopen(request, timeout=10)

@@ -123,7 +123,7 @@ def test_another_fabric_has_its_own_colour_and_is_noted() -> None:
     made = simulated(touches, dress)
     before, after = (headers[n].garments[0]["material"]["density"] for n in (1, 2))
     assert after > 1.5 * before
-    assert made._clip.trajectory().metadata["notes"][-1] == "From frame 2 on skirt was of denim-14oz."
+    assert made._clip.trajectory().metadata["notes"][-1] == "From frame 2 on, skirt was made of denim-14oz."
     assert made._clip.frame_count == 4
 
 
@@ -142,7 +142,7 @@ def test_slow_motion_takes_its_time() -> None:
         (lambda t: t.blow("strong", 0.0, False), "speed of the wind"),
         (lambda t: t.blow(1.0, -1.0, False), "direction must be a number from 0 to 360"),
         (lambda t: t.dress(0, "../denim.json"), "There is no material"),
-        (lambda t: t.draw((0.0, float("inf"), 0.0)), "A hand pulls to a place"),
+        (lambda t: t.draw((0.0, float("inf"), 0.0)), "The point to pull to"),
     ],
 )
 def test_what_a_page_may_not_do_is_refused(do: Callable[[Touches], None], says: str) -> None:
@@ -175,7 +175,7 @@ def test_a_mouse_pulls_while_it_is_simulated_and_the_page_follows_the_newest_fra
     assert window.state.follows_newest
     assert window._speed() == 0.5
     window._drag("update", (x, y, z), (float("nan"), y, z))
-    assert "A hand pulls to a place" in window._client.add_notification.call_args.args[1]
+    assert "The point to pull to" in window._client.add_notification.call_args.args[1]
     window._drag("end", (x, y, z), (x, y, z))
     assert window.state.hand is None
     until(lambda: window.state.clock.frame_count > 6)
@@ -195,5 +195,5 @@ def test_what_feels_no_hand_says_so(window: BrowserWindow) -> None:
     window.simulate(replace(SKIRT, model="skinning"))
     until(lambda: window.simulation and not window.simulation.running)
     assert window.touch_panel._unfelt.visible is True
-    with pytest.raises(InputError, match="Nothing is simulated that could go on"):
+    with pytest.raises(InputError, match="There is no simulation to continue"):
         window.go_on()

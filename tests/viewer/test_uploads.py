@@ -47,14 +47,14 @@ def test_what_is_read_beside_a_file_cannot_be_chosen() -> None:
 def test_what_is_no_such_file_or_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     files = Uploads()
     for kind, name in (("garment", "a.npz"), ("motion", "a.obj"), ("garment", ".obj"), ("body", "a.exe")):
-        with pytest.raises(InputError, match=f"no {kind} file"):
+        with pytest.raises(InputError, match=f"as a {kind} file"):
             files.keep(kind, name, b"x")
     monkeypatch.setattr(module, "MOST_BYTES", 2**20)
     monkeypatch.setattr(module, "MOST_BYTES_TOGETHER", 2**20 + 100)
     with pytest.raises(InputError, match=r"a\.obj .*2 MB.* 1 MB"):
         files.keep("garment", "a.obj", b"x" * 2**21)
     files.keep("garment", "a.obj", b"x" * 2**20)
-    with pytest.raises(InputError, match="more than 1 MB; reload it"):
+    with pytest.raises(InputError, match="exceed 1 MB; reload the page"):
         files.keep("garment", "b.obj", b"x" * 200)
     assert [path.name for path in files.files] == ["a.obj"]
     assert set(KINDS) == {"garment", "body", "motion"}
@@ -80,7 +80,7 @@ def test_what_is_too_large_is_dropped_while_it_arrives() -> None:
             listeners[kind](0, SimpleNamespace(transfer_uuid="one"))
         assert ("one" in gui._current_file_upload_states) == kept
     assert len(said) == 2
-    assert all("256 MB are the most" in sentence for sentence in said)
+    assert all("at most 256 MB are allowed" in sentence for sentence in said)
 
 
 def test_a_page_may_name_the_files_it_handed_over_and_no_others(tmp_path: Path) -> None:

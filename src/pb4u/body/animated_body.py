@@ -20,10 +20,10 @@ class AnimatedBody(ABC):
     Attributes:
         faces: (faces, 3) int64, counter-clockwise seen from outside.
         contact: (vertices,) bool; False for hands or fingers and for skin inside other skin, which contact and
-            penetration leave out.
+            penetration ignore.
         rest_vertices: (vertices, 3) float64 [m] the pose that garments are fitted to.
         fps: frames per second.
-        name: what the user called it.
+        name: as given by the user.
     """
 
     faces: np.ndarray
@@ -39,7 +39,7 @@ class AnimatedBody(ABC):
 
     @abstractmethod
     def positions(self, start: int, stop: int) -> Tensor:
-        """Vertices of consecutive frames; asked for by two threads at once.
+        """Vertices of consecutive frames; two threads may call it at once.
 
         Args:
             start: first frame.

@@ -84,7 +84,7 @@ class BakedBody(BodyModel):
         path: the .npz.
 
     Raises:
-        InputError: it is not such a file.
+        InputError: it is not a file of a baked body.
     """
 
     family = "anny"

@@ -28,7 +28,7 @@ def complete_parameters(
     Args:
         body: name of the body, for messages.
         ranges: name -> (lowest, default, highest).
-        values: those that differ from the default.
+        values: the parameters that differ from the default.
 
     Raises:
         InputError: a name is unknown or a value out of range.
@@ -49,10 +49,10 @@ _FARTHEST = 1e4
 
 
 class BodyModel(ABC):
-    """A family of bodies; `shaped` picks one member.
+    """A body model; `shaped` gives the body of some shape parameters.
 
     Attributes:
-        name: what the user called it.
+        name: as given by the user.
         family: which bone names it has: "anny", "smpl", "smplh" or "smplx".
         faces: (faces, 3) int64, counter-clockwise seen from outside.
         bone_names: names of the bones, parents before children.
@@ -88,10 +88,10 @@ class BodyModel(ABC):
         """
 
     def shaped(self, **parameters: float) -> ShapedBody:
-        """One member of the family, standing on the ground.
+        """The body of some shape parameters, standing on the ground.
 
         Args:
-            **parameters: shape parameters by name; left out, the default of each.
+            **parameters: shape parameters by name; the others have their default.
 
         Raises:
             InputError: a name is unknown or a value out of range.
@@ -126,7 +126,9 @@ class BodyModel(ABC):
         remedy = f"it is {heights[0]:.2f} to {heights[-1]:.2f} m tall"
         if heights[0] <= metres <= heights[-1]:
             remedy = f"{metres:.2f} m is height={np.interp(metres, heights, shares):.2f}"
-        raise InputError(f'Shape parameter "height" of body "{self.name}" is a share, 0 to 1, not a length; {remedy}.')
+        raise InputError(
+            f'Shape parameter "height" of body "{self.name}" is a number from 0 to 1, not a length; {remedy}.'
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +138,7 @@ class ShapedBody:
     That pose is the A-pose of Anny and the T-pose of the SMPL family.
 
     Args:
-        name: what the user called it.
+        name: as given by the user.
         family: which bone names it has: "anny", "smpl", "smplh" or "smplx".
         vertices: (vertices, 3) float64 rest positions [m].
         faces: (faces, 3) int64.
@@ -178,7 +180,7 @@ class ShapedBody:
         """The body moving through `poses`.
 
         Args:
-            poses: world rotations and places, frame by frame.
+            poses: world rotations and root positions, frame by frame.
         """
         return _PosedSkeleton(self, poses)
 
@@ -186,7 +188,7 @@ class ShapedBody:
         """The same body with other vertices left out of contact: `contact` (vertices,) bool is False there.
 
         Args:
-            contact: (vertices,) bool, False where a vertex is left out.
+            contact: (vertices,) bool, False where a vertex is left out of contact.
         """
         return replace(self, contact=contact)
 
@@ -227,7 +229,7 @@ class PosedBody(AnimatedBody):
         """Any other surface moved by the bones of this body.
 
         Args:
-            rest_vertices: (vertices, 3) where it is when the body rests [m].
+            rest_vertices: (vertices, 3) its positions on the body at rest [m].
             weights: the bones of each vertex.
             start: first frame.
             stop: frame after the last.

@@ -70,8 +70,8 @@ class HumanBones:
 
     Args:
         joints: bone by SMPL's name of the joint at its head, of limbs, neck and head.
-        pelvis: the bone that both legs hang on.
-        spine: bones from above the pelvis to the one that both arms hang on, one at least.
+        pelvis: the parent of both legs.
+        spine: one or more bones, from above the pelvis to the parent of both arms.
         neck: bones between the spine and the head; there may be none.
     """
 
@@ -84,12 +84,12 @@ class HumanBones:
 def human_bones(
     names: Sequence[str], parents: Sequence[int], vrm: Mapping[str, int] | None = None
 ) -> HumanBones | None:
-    """The bones of a human; None where they are not one's.
+    """The bones of a human; None if the skeleton is not human.
 
     Args:
         names: of the bones, parents before children.
         parents: index of each parent, -1 of a root.
-        vrm: bone by VRM's name, where the file has them.
+        vrm: bone by VRM's name, if the file has these names.
     """
     bones = _of_vrm(vrm) if vrm else _by_words(names, parents)
     if any(joint not in bones for joint in NEEDED):
@@ -115,12 +115,12 @@ def human_bones(
 def smpl_names(
     names: Sequence[str], parents: Sequence[int], vrm: Mapping[str, int] | None = None
 ) -> dict[int, str] | None:
-    """Bones by the SMPL joints that they are; None where they are not a human's.
+    """SMPL's joint name of each bone; None if the skeleton is not human.
 
     Args:
         names: of the bones, parents before children.
         parents: index of each parent, -1 of a root.
-        vrm: bone by VRM's name, where the file has them.
+        vrm: bone by VRM's name, if the file has these names.
     """
     human = human_bones(names, parents, vrm)
     if human is None:
@@ -133,7 +133,8 @@ def smpl_names(
 
 
 def unknown_bones(names: Sequence[str], parents: Sequence[int]) -> str:
-    """What keeps bones from being a human's, in words: the nearest scheme, what it lacks, and what may be meant.
+    """Sentence on why a skeleton is not recognised as human: the nearest naming scheme, its missing bones, and likely
+    matches.
 
     Args:
         names: of the bones, parents before children.
@@ -145,7 +146,7 @@ def unknown_bones(names: Sequence[str], parents: Sequence[int]) -> str:
     scheme = {"head": "Head", **dict(_named(nearest))}
     missing = {joint: scheme[joint] for joint in sorted(NEEDED, key=list(scheme).index) if joint not in bones}
     if not missing:
-        return "legs, trunk, arms and head do not hang together as a human's"
+        return "legs, trunk, arms and head are not connected as in a human skeleton"
     free = {bone: name for bone, name in enumerate(names) if bone not in bones.values()}
     meant = []
     for joint, name in missing.items():
@@ -206,7 +207,7 @@ def _parts(name: str) -> list[str]:
 
 
 def _words(parts: Sequence[str]) -> tuple[str, str] | None:
-    """Side ("left", "right" or "") and word of a bone's name; None where it is no bone of a chain."""
+    """Side ("left", "right" or "") and word of a bone's name; None where it is not a bone of a chain."""
     side, words = "", list[str]()
     for word in parts:
         stuck = re.fullmatch(r"(left|right)(\w+)", word)

@@ -22,7 +22,7 @@ class Morph:
     """Targets that a mesh is morphed to before it is skinned.
 
     Args:
-        node: whose weights morph it.
+        node: the node whose weights control the morph.
         vertices: (moved,) int64, the vertices that it moves.
         offsets: (targets, moved, 3) at rest [m].
         rest: (targets,) weights that the rest pose has [1].
@@ -36,13 +36,13 @@ class Morph:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """What moves a character.
+    """The bones, nodes and morph targets that move a character.
 
     Args:
         tree: the nodes of its file.
         bone_nodes: (bones,) int64, node of each bone.
         binds: (bones, 4, 4) transform of each bone to the world at rest [m].
-        morphs: what changes the surface before it is skinned.
+        morphs: morph targets applied before skinning.
     """
 
     tree: NodeTree
@@ -55,15 +55,15 @@ class Rig:
 class Character(ShapedBody):
     """A rigged character in its bind pose, the pose that garments are fitted to.
 
-    Where its bones are a human's they have the names of SMPL's joints, so that garments are cut for it and any motion
-    can be put on it; its own clips move it exactly as the file says.
+    The bones of a human skeleton get the names of SMPL's joints, so that garments can be cut for it and any motion
+    retargeted to it; its own clips move it exactly as the file says.
 
     Args:
-        rig: what moves it.
-        clip: what it performs; None where its file has no clip.
+        rig: the bones, nodes and morph targets that move it.
+        clip: the clip that it performs; None if its file has no clip.
         clip_names: names of all clips of its file.
-        notes: plain sentences on what was left out or mended.
-        source_vertices: (file's vertices,) int64, the vertex that each one of the file's meshes has become.
+        notes: plain sentences on omitted parts and repairs.
+        source_vertices: (file's vertices,) int64, the vertex here of each vertex in the file's meshes.
     """
 
     rig: Rig

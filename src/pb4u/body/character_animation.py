@@ -13,7 +13,7 @@ from pb4u.io.reading_limits import names_text
 
 
 def node_tree(file: GltfFile) -> NodeTree:
-    """The nodes of a file as they stand without an animation, lengths in the file's unit.
+    """The nodes of a file in their pose without animation, lengths in the file's unit.
 
     Args:
         file: a glTF file.
@@ -36,7 +36,7 @@ def node_tree(file: GltfFile) -> NodeTree:
         turn = from_xyzw(np.array(entry.get("rotation", (0.0, 0.0, 0.0, 1.0)), dtype=np.float64))
         rotations[node] = turn / np.linalg.norm(turn)
     if not all((np.abs(values) < 1e7).all() for values in (translations, rotations, scales)):
-        raise ValueError("a node's place is no finite number")
+        raise ValueError("the position of a node is not finite")
     weights = {}
     for node, entry in enumerate(entries):
         if "mesh" in entry:
@@ -60,16 +60,16 @@ def clip_names(file: GltfFile) -> list[str]:
 
 
 def read_clip(file: GltfFile, tree: NodeTree, name: str | None) -> Clip | None:
-    """An animation; None where the file has none and none is named.
+    """An animation; None if the file has none and no name is given.
 
     Args:
         file: a glTF file.
         tree: its nodes.
-        name: name of the animation; the first where left out.
+        name: name of the animation; by default the first.
 
     Raises:
         InputError: the file has no animation of that name.
-        ValueError: its key frames do not rise, are not finite, or belong to no node.
+        ValueError: the times of its key frames do not increase, values are not finite, or a node is missing.
     """
     entries, names = file.entries("animations"), clip_names(file)
     if name is not None and name not in names:
@@ -99,7 +99,7 @@ def read_clip(file: GltfFile, tree: NodeTree, name: str | None) -> Clip | None:
             or not np.isfinite(values).all()
             or not np.isfinite(times).all()
         ):
-            raise ValueError(f"the clip {names[index]} has key frames that do not rise, or are not finite")
+            raise ValueError(f"the clip {names[index]} has key frames whose times do not increase or are not finite")
         if times[-1] > 1e5 or not 0 <= target["node"] < len(file.entries("nodes")):
             raise ValueError(f"the clip {names[index]} has a key frame at {times[-1]:g} s, or moves no node")
         if target["path"] == "weights" and values.shape[1] != tree.poses.weights[target["node"]].shape[1]:

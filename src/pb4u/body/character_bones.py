@@ -20,8 +20,8 @@ def bind_spaces(
 ) -> dict[int, np.ndarray]:
     """Transform (4, 4) of each skin's own space to the scene in the bind pose.
 
-    In the bind pose all joints of a skin agree on where its space is. A file stands where its nodes say; where they
-    stand in another pose, only their unit and the axes nearest to them are taken.
+    In the bind pose all joints of a skin give the same transform of its space. The nodes of a file place the skeleton;
+    if they are in another pose than the bind pose, only their unit and nearest axes are used.
 
     Args:
         tree: nodes of the file.
@@ -61,7 +61,7 @@ def merged_bones(
         places: (4, 4) transform of each skin's own space to the scene.
 
     Raises:
-        InputError: more bones than are read.
+        InputError: there are too many bones.
     """
     bones: list[int] = []
     matrices: list[np.ndarray] = []
@@ -76,12 +76,12 @@ def merged_bones(
                 matrices.append(bind)
             bone_of[skin, k] = near[0] if near else len(bones) - 1
     if len(bones) > _MOST_BONES:
-        raise InputError(f"{path} has {len(bones):,} bones, and {_MOST_BONES:,} are the most.")
+        raise InputError(f"{path} has {len(bones):,} bones; at most {_MOST_BONES:,} are allowed.")
     return bones, matrices, bone_of
 
 
 def ordered_bones(file: GltfFile, tree: NodeTree, bones: list[int]) -> tuple[np.ndarray, list[str], list[int]]:
-    """Order in which the bones come, the hips first and parents before children; their names and parents in it.
+    """Order of the bones, with the hips first and parents before children; their names and parents in that order.
 
     Args:
         file: a glTF file.
@@ -133,10 +133,11 @@ def _vrm_bones(file: GltfFile) -> dict[str, int]:
 def completed_bones(
     names: list[str], parents: list[int], joints: np.ndarray, nodes: np.ndarray, binds: np.ndarray, vertices: np.ndarray
 ) -> tuple[list[str], list[int], np.ndarray, np.ndarray, np.ndarray]:
-    """A human's bones with those that rigs leave out: toes, collar bones and the neck, moving with their parents.
+    """A human skeleton completed by bones that some rigs lack: toes, collar bones and the neck, which move with their
+    parents.
 
     Args:
-        names: names of the bones; they are returned as they are where none is the pelvis.
+        names: names of the bones; returned unchanged if none is the pelvis.
         parents: parent of each bone; -1 for none.
         joints: (bones, 3) [m].
         nodes: (bones,) int64 node of each bone.

@@ -45,7 +45,7 @@ _MOST_TRIANGLES = 1_000_000
 _RAYS = 32
 # Share of the skin out of contact, hands aside, that is told of: eyes, mouth and folds of sound ones have less.
 _MOST_OUT = 0.06
-# A hole wider than this share of the height is no neck or wrist where meshes meet.
+# A hole wider than this share of the height is not a neck or wrist where meshes meet.
 _WIDE = 0.15
 _OTHER_SIDE = re.compile("left|right")
 
@@ -104,16 +104,17 @@ def read_character(
     """The character of a glTF or VRM file in its bind pose, feet on y = 0, facing +Z.
 
     All skinned meshes are joined but hair, eyes, clothes and the like, recognised by their names and those of their
-    materials. Holes are closed, so that inside has a meaning.
+    materials. Holes are closed, so that inside and outside are defined.
 
     Args:
         path: the .glb, .gltf or .vrm.
-        clip: name of the animation that it performs; the first where left out.
-        parts: names of the meshes or materials that make the body; recognised by their names where left out.
-        units: name of its unit of length; told by the size of a person where left out.
+        clip: name of the animation that it performs; by default the first.
+        parts: names of the meshes or materials that form the body; by default recognised by their names.
+        units: name of its unit of length; by default recognised by the size of a person.
 
     Raises:
-        InputError: it is no glTF, is compressed by Draco or meshopt, has no skin, no such clip or part, or is damaged.
+        InputError: it is not a glTF file, is compressed by Draco or meshopt, has no skin, no such clip or part, or is
+            damaged.
     """
     file = read_gltf(path)
     with refusing(path, "is damaged"):
@@ -147,16 +148,16 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None, 
     surface, holes = surface.turned_outward().closed()
     if holes:
         sentence = f"{len(holes)} hole(s) of the surface, the largest {100 * max(holes):.0f} cm across, are closed"
-        notes.append(f"{path.name}: {sentence}, so that inside has a meaning.")
+        notes.append(f"{path.name}: {sentence}, so that the surface is closed.")
         outer = [title for title in others if not re.search(_HEAD, title, re.IGNORECASE)]
         if outer and max(holes) > _WIDE * float(np.ptp(surface.vertices[:, 1])):
             every = dict.fromkeys([*(part.title for part in chosen), *outer])
             warn(
-                f"{path.name}: its skin has a hole of {100 * max(holes):.0f} cm, as where it is cut away under "
-                f"clothes, and other cloth falls in there; give what covers it as well: --body-parts {','.join(every)}."
+                f"{path.name}: its skin has a hole of {100 * max(holes):.0f} cm, as where skin under clothes was "
+                f"deleted; cloth falls in there, so add the meshes that cover it: --body-parts {','.join(every)}."
             )
     if not Topology(surface.faces, len(surface.vertices)).is_closed:
-        notes.append(f"{path.name}: its surface is not closed even so; penetration is not reported.")
+        notes.append(f"{path.name}: its surface is still not closed, so penetration is not reported.")
     binds = world @ binds
     if not (np.abs(np.linalg.det(binds)) > 1e-20).all():
         raise ValueError("a bone is flattened by the scale of a node")
@@ -169,8 +170,8 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None, 
     morphs = _morphs(chosen, places, world, welded)
     if "pelvis" not in names:
         notes.append(
-            f"{path.name}: its bones are no human's by their names, so it moves by its own clips and takes garments "
-            "from files."
+            f"{path.name}: its bone names are not those of a human, so only its own clips move it and only garments "
+            "from files fit it."
         )
     return Character(
         name=path.stem,
@@ -199,15 +200,18 @@ def _limbs(names: list[str], parents: list[int]) -> np.ndarray:
 
 
 def _tell_of_contact(path: Path, surface: CharacterSurface, contact: np.ndarray, of_hand: np.ndarray) -> str:
-    """What is said of the skin that takes no part in contact; warns where much of it is no hand."""
+    """What is said of the skin that takes no part in contact; warns where much of it is not a hand."""
     out = share_out_of_contact(surface.vertices, surface.faces, contact)
     beyond = share_out_of_contact(surface.vertices, surface.faces, contact | of_hand)
     if beyond > _MOST_OUT:
         warn(
-            f"{path.name}: {100 * beyond:.0f} % of its skin is out of contact besides the hands, since other surface "
-            "lies over it: cloth passes through there; leave that out with --body-parts."
+            f"{path.name}: {100 * beyond:.0f} % of its skin, hands not counted, takes no part in contact, because "
+            "other surfaces cover it; cloth passes through there: leave the covering parts out with --body-parts."
         )
-    return f"{path.name}: {100 * out:.0f} % of its skin is out of contact: the hands, and what cloth cannot reach."
+    return (
+        f"{path.name}: {100 * out:.0f} % of its skin takes no part in contact: the hands, and skin that cloth "
+        "cannot reach."
+    )
 
 
 def _unskinned(file: GltfFile) -> list[str]:
@@ -221,7 +225,7 @@ def _unskinned(file: GltfFile) -> list[str]:
 
 
 def _skin_alone(parts: list[_Part], skin: np.ndarray) -> tuple[list[_Part], list[str]]:
-    """The parts without what is no skin, and titles of that; `skin` (vertices,) bool is of all parts."""
+    """The parts without what is not skin, and titles of that; `skin` (vertices,) bool is of all parts."""
     skins, omitted = list[_Part](), list[str]()
     starts = offsets([part.vertices for part in parts])
     masks = [skin[start : start + len(part.vertices)] for start, part in zip(starts, parts, strict=False)]
@@ -233,7 +237,7 @@ def _skin_alone(parts: list[_Part], skin: np.ndarray) -> tuple[list[_Part], list
             continue
         skins.append(part.only(mask))
         if lost := len(part.faces) - len(skins[-1].faces):
-            omitted.append(f"{lost:,} faces of {title} that are no skin")
+            omitted.append(f"{lost:,} faces of {title} that are not skin")
     return skins, list(dict.fromkeys(omitted))
 
 
@@ -284,7 +288,7 @@ def _parts(file: GltfFile) -> list[_Part]:
                 continue
             if any(name in primitive.get("extensions", {}) for name in ("KHR_draco_mesh_compression",)):
                 raise InputError(
-                    f"{file.path} is compressed by Draco, which is not read; export it without compression."
+                    f"{file.path} is compressed by Draco, which pb4u does not read; export it without compression."
                 )
             vertices = file.array(attributes["POSITION"]).astype(np.float64)
             faces = (file.array(primitive["indices"]) if "indices" in primitive else np.arange(len(vertices))).astype(
@@ -292,9 +296,9 @@ def _parts(file: GltfFile) -> list[_Part]:
             )
             faces = faces[: len(faces) // 3 * 3].reshape(-1, 3)
             if not len(faces) or faces.max() >= len(vertices):
-                raise ValueError("a triangle has a vertex that is not there")
+                raise ValueError("a triangle names a vertex that does not exist")
             if not np.isfinite(vertices).all():
-                raise ValueError("a vertex has no finite place, or no weight")
+                raise ValueError("a vertex has no finite position, or no weight")
             count = len(file.entries("skins")[entry["skin"]]["joints"])
             joints, weights = influences(file, attributes, len(vertices), count)
             targets = [
@@ -316,8 +320,8 @@ def _chosen(path: Path, parts: list[_Part], names: Collection[str] | None) -> tu
     """The parts that make the body, and titles of the others."""
     if not parts:
         raise InputError(
-            f"{path} has no skin: no mesh in it hangs on bones; give a mesh that stands still as .obj, and one that "
-            "moves by itself as a sequence of vertices."
+            f"{path} has no skin: no mesh in it is bound to bones; give a mesh that does not move as .obj, and an "
+            "animated one as a sequence of vertices."
         )
     if names is None:
         chosen = [part for part in parts if part.is_skin]
@@ -330,7 +334,7 @@ def _chosen(path: Path, parts: list[_Part], names: Collection[str] | None) -> tu
     titles = list(dict.fromkeys(part.title for part in parts))
     if not chosen:
         raise InputError(
-            f"{path}: by their names none of its meshes is a body ({names_text(titles)}); name it with --body-parts."
+            f"{path}: none of its meshes has the name of a body ({names_text(titles)}); name it with --body-parts."
         )
     if sum(len(part.faces) for part in chosen) > _MOST_TRIANGLES:
         raise InputError(f"{path} has over {_MOST_TRIANGLES:,} triangles; decimate it in the program it comes from.")
@@ -349,7 +353,8 @@ def _world(
     notes = [] if note is None else [f"{path.name}: {note}"]
     if units is None and unit == "metres" and not is_person(extent_of(vertices)):
         notes.append(
-            f"{path.name}: it measures {extent_of(vertices):.3g} m, which no person does; --body-units scales it."
+            f"{path.name}: it measures {extent_of(vertices):.3g} m, which is not the size of a person; --body-units "
+            "scales it."
         )
     turn, places = np.eye(3), binds[:, :3, 3]
     if "pelvis" in names:
@@ -365,7 +370,7 @@ def _world(
             # Its toes point backwards: a mirror has made its left side its right.
             turn = np.diag([-1.0, 1.0, -1.0]) @ turn
             names = [_OTHER_SIDE.sub(lambda side: "right" if side[0] == "left" else "left", name) for name in names]
-            notes.append(f"{path.name}: mirrored by the scale of a node, so its left and right are swapped.")
+            notes.append(f"{path.name}: the scale of a node mirrors it, so its left and right are swapped.")
         if not np.array_equal(turn, np.eye(3)):
             upright = "" if turn[1, 1] == 1.0 else "upright and "
             notes.append(f"{path.name}: turned {upright}to face +Z, by its hips, head and feet.")

@@ -47,7 +47,7 @@ class CharacterSurface:
         return CharacterSurface(places, self.faces, self.bones, self.weights)
 
     def welded(self) -> tuple[CharacterSurface, np.ndarray]:
-        """The surface with vertices in one place as one, where the same bones move them; and the vertex of each.
+        """The surface with coincident vertices merged if the same bones move them, and the new index of each vertex.
 
         glTF splits a vertex wherever its normal or its texture has two values.
         """
@@ -72,7 +72,7 @@ class CharacterSurface:
         return result
 
     def turned_outward(self) -> CharacterSurface:
-        """The surface with each of its pieces turned so that its volume is positive."""
+        """The surface with each of its pieces flipped if needed so that its volume is positive."""
         topology = Topology(self.faces, len(self.vertices))
         piece = topology.piece_of_vertex[self.faces[:, 0]]
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
@@ -81,7 +81,7 @@ class CharacterSurface:
         return CharacterSurface(self.vertices, np.ascontiguousarray(faces), self.bones, self.weights)
 
     def closed(self) -> tuple[CharacterSurface, list[float]]:
-        """The surface with a fan over each hole, and how far across each was [m]."""
+        """The surface with a fan over each hole, and the diameter of each hole [m]."""
         loops = _hole_cycles(self.faces)
         if not loops:
             return self, []

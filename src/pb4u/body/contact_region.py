@@ -16,17 +16,17 @@ def reachable(
 ) -> np.ndarray:
     """Mask of the vertices that cloth can reach: not inside other skin and not in a cavity such as the mouth.
 
-    A vertex is inside where the winding number just outside of it is 1 or more, and in a cavity where other skin
-    hides nearly all of its sky.
+    A vertex is inside if the winding number just outside of it is 1 or more, and in a cavity if other skin blocks
+    nearly all rays from it.
 
     Args:
         vertices: (vertices, 3) [m].
         faces: (faces, 3) int64, counter-clockwise seen from outside.
-        candidates: (vertices,) bool, those that are looked at; all where left out.
-        rays: with which the sky of a vertex is looked at; 200 take half a millisecond a vertex.
+        candidates: (vertices,) bool, the vertices to test; by default all.
+        rays: number of rays cast from each vertex; 200 take half a millisecond a vertex.
 
     Returns:
-        (vertices,) bool, False of what is no candidate.
+        (vertices,) bool, False for vertices that are not candidates.
     """
     import igl
 

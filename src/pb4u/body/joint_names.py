@@ -42,7 +42,7 @@ _PLAIN_SMPL = {
 
 
 def plain_name(bone: str) -> str:
-    """What a bone is called in plain words, such as "left thigh"; its own name where it is none of those known.
+    """Plain name of a bone, such as "left thigh"; its own name if it is unknown.
 
     Args:
         bone: its name in Anny or in the SMPL family.
@@ -60,7 +60,7 @@ def plain_names(bones: Iterable[str], most: int = 4) -> str:
 
     Args:
         bones: their names.
-        most: how many are named; of more, how many there are.
+        most: largest number of names; beyond it only their number is given.
     """
     parts = [f"the {name}" for name in dict.fromkeys(map(plain_name, bones))]
     if len(parts) > most:

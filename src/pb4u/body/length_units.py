@@ -23,25 +23,25 @@ _CLOTH, _ANY_CLOTH = (0.3, 1.8), (0.05, 5.0)
 
 
 def body_unit(file: object, extent: float, unit: str | None = None) -> tuple[str, str | None]:
-    """The unit of a body's file, and what is to be told of it where it is not the metre.
+    """The unit of a body's file, and a note for the user if it is not the metre.
 
-    A grown-up in one of the units is taken for that. Else what can be a person or a figure in metres is in metres, and
-    what can be a person in one other unit alone is in that.
+    If the size is that of an adult in one of the units, this unit is used. Otherwise metres are used if a person or a
+    figure can have this size in metres, or another unit if a person can have it in this one only.
 
     Args:
         file: of the body, for the sentences.
         extent: largest of the body along an axis, in the unit of the file.
-        unit: unit that the user names.
+        unit: unit given by the user.
 
     Raises:
-        InputError: the unit given is unknown or makes no figure, or none or several make a person.
+        InputError: the given unit is unknown or gives no possible figure, or no unit or several give a person.
     """
     shown = f"{extent:.3g}" if extent < 1000.0 else f"{extent:.0f}"
     if unit is not None:
         if unit not in UNITS:
             raise unknown_name("unit of length", unit, UNITS)
         if not _GIVEN[0] <= extent * UNITS[unit] <= _GIVEN[1]:
-            raise InputError(f"{file} measures {shown} {unit}, and no figure that wears clothes does; give its unit.")
+            raise InputError(f"{file} measures {shown} {unit}, which is not the size of a person; give its unit.")
         return unit, None
     grown, people = (
         [unit for unit, length in UNITS.items() if low <= extent * length <= high] for low, high in (_GROWN, _PERSON)
@@ -50,7 +50,7 @@ def body_unit(file: object, extent: float, unit: str | None = None) -> tuple[str
         people = grown = ["metres"]
     units = grown or people
     if len(units) != 1:
-        likely = f"a person in {' or in '.join(units)}" if units else "no person in any unit that is known"
+        likely = f"a person in {' or in '.join(units)}" if units else "no person in any known unit"
         raise InputError(
             f"{file}: the body measures {shown} in its own unit, {likely}; say which with --body-units (in Python "
             f"units=), one of {', '.join(UNITS)}, or scale it to metres."
@@ -58,13 +58,13 @@ def body_unit(file: object, extent: float, unit: str | None = None) -> tuple[str
     if units == ["metres"]:
         return "metres", None
     return units[0], (
-        f"it measures {shown}, so it is taken to be in {units[0]}, {extent * UNITS[units[0]]:.2f} m; --body-units says "
+        f"it measures {shown}, so it is read in {units[0]}, {extent * UNITS[units[0]]:.2f} m; --body-units says "
         "otherwise."
     )
 
 
 def is_person(extent: float) -> bool:
-    """Whether a person may have an extent [m].
+    """Whether an extent [m] is possible for a person.
 
     Args:
         extent: largest along an axis [m].
@@ -73,18 +73,18 @@ def is_person(extent: float) -> bool:
 
 
 def garment_unit(extent: float) -> str | None:
-    """What an extent tells of a garment's unit, as a verb phrase; None where it can be that of one in metres.
+    """Verb phrase on the likely unit of a garment of this extent; None if it can be in metres.
 
     Args:
         extent: largest of the garment along an axis, as in its file.
     """
     if extent < _ANY_CLOTH[0]:
-        return f"spans {1000 * extent:.3g} mm as it is, too small for a garment in metres"
+        return f"spans {1000 * extent:.3g} mm if read as metres, too small for a garment"
     if extent <= _ANY_CLOTH[1]:
         return None
     usual = [unit for unit, length in UNITS.items() if _CLOTH[0] <= extent * length <= _CLOTH[1]]
     units = " or in ".join(usual) or ("centimetres" if extent <= 250.0 else "millimetres")
-    return f"spans {extent:.0f} m as it is, it seems to be in {units}"
+    return f"spans {extent:.0f} m if read as metres, so it seems to be in {units}"
 
 
 def extent_of(vertices: np.ndarray) -> float:

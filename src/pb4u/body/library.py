@@ -49,7 +49,7 @@ _MODELS = {"anny": "pb4u.body.anny_body:AnnyBody"}
 
 
 def body_names() -> tuple[str, ...]:
-    """Names of the built-in bodies; "anny" as well is any body of the full model, where its extra is installed."""
+    """Names of the built-in bodies; "anny" is any body of the full model, if its extra is installed."""
     return BUILT_IN
 
 
@@ -72,10 +72,10 @@ def load_body(
         name_or_path: "woman", "man", "anny" (the full model), an SMPL-family .npz or .pkl, a baked body .npz, a rigged
             character (.glb, .gltf, .vrm), or a moving surface as `load_vertex_sequence` reads it.
         shape: shape parameters by name; a character and a moving surface have none.
-        clip: name of the clip that a character performs; its first where left out.
-        parts: names of the meshes or materials that make a character's body; recognised by their names where left out.
-        units: unit of length of a character's or a moving surface's file, such as "inches"; told by the size of a
-            person where left out.
+        clip: name of the clip that a character performs; by default its first.
+        parts: names of the meshes or materials that form a character's body; by default recognised by their names.
+        units: unit of length of a character's or a moving surface's file, such as "inches"; by default recognised by
+            the size of a person.
 
     Raises:
         InputError: the name is unknown, the file cannot be used, or a shape parameter does not fit.
@@ -88,7 +88,7 @@ def load_body(
         return read_character(Path(name), clip, parts, units)
     if clip is not None or parts is not None:
         option = "clip" if clip is not None else "body-parts"
-        raise InputError(f"{name} is no rigged character ({', '.join(GLTF_SUFFIXES)}); leave out --{option}.")
+        raise InputError(f"{name} is not a rigged character ({', '.join(GLTF_SUFFIXES)}); leave out --{option}.")
     if units is not None and (name in BUILT_IN or name in _MODELS):
         raise InputError(f"{name} is in metres; leave out --body-units.")
     if name in BUILT_IN:
@@ -104,14 +104,14 @@ def load_body(
 
 
 def load_boned_body(name_or_path: str | Path, shape: Mapping[str, float] | None = None) -> ShapedBody:
-    """A body with bones; arguments as of `load_body`.
+    """A body with bones; arguments as for `load_body`.
 
     Args:
         name_or_path: name, or path of a file.
         shape: shape parameters by name.
 
     Raises:
-        InputError: it has none, or as `load_body` does.
+        InputError: it has no bones, or for the reasons of `load_body`.
     """
     body = load_body(name_or_path, shape)
     if not isinstance(body, ShapedBody):
@@ -120,7 +120,7 @@ def load_boned_body(name_or_path: str | Path, shape: Mapping[str, float] | None 
 
 
 def read_pickled_body(path: Path, units: str | None = None) -> BodyModel | VertexSequence:
-    """A body in a pickle, of which nothing is run: a sequence of vertices where it has them, else an SMPL model.
+    """A body in a pickle, read without running its code: a sequence of vertices if it has any, else an SMPL model.
 
     Args:
         path: the file.
@@ -137,7 +137,7 @@ def read_pickled_body(path: Path, units: str | None = None) -> BodyModel | Verte
 
 
 def _in_metres(path: Path) -> InputError:
-    return InputError(f"{path} is of a kind that is in metres; leave out --body-units.")
+    return InputError(f"{path} is of a format that is always in metres; leave out --body-units.")
 
 
 @lru_cache(maxsize=4)
@@ -156,7 +156,7 @@ def _read(path: Path, units: str | None) -> BodyModel | VertexSequence:
                 f'There is no body file "{path}"; check the path, or use one of the names {", ".join(names)}.'
             )
         if path.name.lower().startswith("smpl"):
-            raise InputError(f'There is no body "{path}"; give the file of the model, which its authors hand out.')
+            raise InputError(f'There is no body "{path}"; give the file of the model, which its authors distribute.')
         raise unknown_name("body", str(path), names)
     suffix = _FOLDER if path.is_dir() else suffix
     members: set[str] = set()

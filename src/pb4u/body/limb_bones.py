@@ -12,7 +12,7 @@ _TOES = re.compile(r"^toe[\d-]+")
 
 
 def limb_bones(body: ShapedBody) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Bones whose skin is mostly touchable: those of hands or fingers left out of contact are none of them.
+    """Bones whose skin mostly takes part in contact; hands or fingers left out of contact are not among them.
 
     The toes of a foot have one name.
 
@@ -21,7 +21,7 @@ def limb_bones(body: ShapedBody) -> tuple[list[str], np.ndarray, np.ndarray]:
 
     Returns:
         Names of the bones, the two joints (bones, 2) int64 of each, and the bone (body vertices,) int64 that moves each
-        vertex of the skin most, -1 where that is none of these.
+        vertex of the skin most, -1 if it is another bone.
     """
     skeleton, weights = body.skeleton, body.weights
     nearest = weights.bones[np.arange(len(weights.bones)), weights.weights.argmax(axis=1)]

@@ -33,7 +33,7 @@ class Channel:
     interpolation: str = "LINEAR"
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """Values (frames, numbers) at `times` (frames,) [s], held before the first and after the last key.
+        """Values (frames, numbers) at `times` (frames,) [s], constant before the first and after the last key.
 
         Args:
             times: (frames,) [s].
@@ -148,7 +148,7 @@ class NodeTree:
     world: np.ndarray
 
     def posed(self, clip: Clip | None, times: np.ndarray) -> NodePoses:
-        """Poses of a clip; without one the nodes stand.
+        """Poses of a clip; without one, the poses that the file gives the nodes.
 
         Args:
             clip: what moves.

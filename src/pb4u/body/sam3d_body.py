@@ -40,10 +40,10 @@ def read_sam3d_body(path: Path) -> VertexSequence:
     Args:
         path: an .npz with `pred_vertices` (vertices, 3) or (frames, vertices, 3), or a folder of one a frame. The faces
             are in a member `faces`, or in a file beside it: `faces.npy`, or a .ply or .obj of one frame. A member `fps`
-            tells the frames per second, 30 without.
+            gives the frames per second; 30 without it.
 
     Raises:
-        InputError: a part is missing, frames have different vertices, the rate is none, or there are no faces.
+        InputError: a part is missing, frames have different vertices, the rate is invalid, or there are no faces.
     """
     files = sorted(path.glob("*.npz"), key=by_number) if path.is_dir() else [path]
     warn_of_gaps(path, files)
@@ -62,18 +62,18 @@ def read_sam3d_body(path: Path) -> VertexSequence:
         with refusing(file, f'has a "{_PLACE}" that does not fit its frames'):
             frames.append((vertices + place.reshape(-1, 1, 3)) * _UPRIGHT)
         faces = next((arrays[name] for name in _FACES if name in arrays), faces)
-        with refusing(file, f'has an "{_RATE}" that is no number'):
+        with refusing(file, f'has an "{_RATE}" that is not a number'):
             fps = float(arrays[_RATE].item()) if _RATE in arrays else fps
     vertices = np.concatenate(frames)
     faces = _faces_beside(path, vertices.shape[1]) if faces is None else faces
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
-        raise InputError(f"{path}: its faces have the shape {faces.shape}, where (faces, 3) whole numbers belong.")
+        raise InputError(f"{path}: its faces have the shape {faces.shape}; they must be whole numbers (faces, 3).")
     vertices, faces = require_usable(path, vertices, faces.astype(np.int64))
     floor = float(np.percentile(vertices[..., 1].min(axis=1), FLOOR_PERCENTILE))
     middle = vertices[0].mean(axis=0)
     vertices -= np.array([middle[0], floor, middle[2]], dtype=np.float32)
     warn(
-        f"{path.name}: the ground is taken to be level for the camera, {-floor:.2f} m below it; where the camera "
+        f"{path.name}: the ground is assumed to be level for the camera, {-floor:.2f} m below it; if the camera "
         "looked down, turn the body upright first.",
     )
     sequence = VertexSequence(path.stem, vertices, faces, fps)
@@ -90,6 +90,7 @@ def _faces_beside(path: Path, count: int) -> np.ndarray:
         if len(vertices) == count:
             return faces
     raise InputError(
-        f"{path} has no faces: put the estimator's beside it, numpy.save('faces.npy', estimator.faces), or the .ply "
+        f"{path} has no faces: put those of the estimator beside it, numpy.save('faces.npy', estimator.faces), or the "
+        ".ply "
         "that the notebook writes of a frame."
     )

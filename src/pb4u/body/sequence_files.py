@@ -35,7 +35,7 @@ def write_vertex_sequence(
         vertices: (frames, vertices, 3) [m].
         faces: (faces, 3).
         fps: frames per second.
-        contact: (vertices,) bool, false where the body neither answers contact nor counts as penetrated; default none.
+        contact: (vertices,) bool, False where the body takes no part in contact and penetration; by default all True.
 
     Raises:
         InputError: the file cannot be written.
@@ -55,11 +55,12 @@ def write_vertex_sequence(
 def load_vertex_sequence(path: str | Path, units: str | None = None) -> VertexSequence:
     """Read an .npz, a folder of OBJ or PLY files, or an OBJ with a .pc2 or .mdd point cache of the same name.
 
-    Warns where the body is not closed, leaps, or seems to be Z up.
+    Warns if the body is not closed, leaps, or seems to be Z up.
 
     Args:
-        path: the file or folder; of an OBJ and its cache, either. It plays at 30 frames per second where it names none.
-        units: name of its unit of length; told by the size of a person where left out.
+        path: the file or folder; for an OBJ with a cache either of the two. Without a stated rate it plays at 30 frames
+            per second.
+        units: name of its unit of length; by default recognised by the size of a person.
 
     Raises:
         InputError: the file cannot be used.
@@ -103,7 +104,7 @@ def _read_pickle(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (frames, vertices, 3) float32 and triangles (faces, 3) of a mesh sequence of the released code."""
 
     def refuse(what: str) -> InputError:
-        return InputError(f"{path} is no moving body: {what}.")
+        return InputError(f"{path} is not a moving body: {what}.")
 
     layout: Layout = {"verts": ("f", ("frames", "vertices", 3)), "faces": ("iu", ("faces", 3))}
     members, _ = read_members(load_pickle(path), layout, refuse)
@@ -130,7 +131,7 @@ def _read_folder(folder: Path) -> tuple[np.ndarray, np.ndarray]:
             same = len(vertices) == len(first)
             difference = "other faces than" if same else f"{len(vertices)} vertices, not the number of"
             raise InputError(
-                f"{path} has {difference} {files[0].name}: all frames need one topology, export them from one mesh."
+                f"{path} has {difference} {files[0].name}; all frames need one topology: export them from one mesh."
             )
         frames[index] = vertices
     return frames, faces
@@ -140,13 +141,13 @@ def by_number(file: Path) -> list[object]:
     """Order of numbered files: frame2 before frame10.
 
     Args:
-        file: one of them.
+        file: a file of the sequence.
     """
     return [int(word) if word.isdigit() else word for word in re.split(r"(\d+)", file.stem)]
 
 
 def warn_of_gaps(folder: Path, files: Sequence[Path]) -> None:
-    """Warn where the numbers of a folder's frames rise by more than their common step, as frames are missing there.
+    """Warn of missing frames, where the numbers of a folder's frames rise by more than their common step.
 
     Args:
         folder: path of the folder, for the message.
@@ -166,7 +167,7 @@ def warn_of_gaps(folder: Path, files: Sequence[Path]) -> None:
     if missing.max() > 0:
         warn(
             f"{folder}: frames are missing, {missing.clip(0).sum()} in all and the first after "
-            f"{files[int(np.argmax(missing > 0))].name}; the motion leaps there, and ends sooner."
+            f"{files[int(np.argmax(missing > 0))].name}; the motion jumps there, and ends earlier."
         )
 
 
@@ -185,7 +186,9 @@ def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray, float | None, np.ndar
     faces, contact, origins = f"{prefix}faces", f"{prefix}contact", "body_position_origins"
 
     def refuse(what: str) -> InputError:
-        return InputError(f'{path} is no moving body: {what}; it needs "vertices" (frames, vertices, 3) and "faces".')
+        return InputError(
+            f'{path} is not a moving body: {what}; it needs "vertices" (frames, vertices, 3) and "faces".'
+        )
 
     layout: Layout = {
         positions: ("f", ("frames", "vertices", 3)),
@@ -215,7 +218,7 @@ def _read_mesh_and_cache(path: Path) -> tuple[np.ndarray, np.ndarray, float | No
     if cache == surface:
         if unread := [file.name for suffix, file in beside.items() if suffix in _UNREAD]:
             warn(
-                f"{path}: {', '.join(unread)} beside it is not read, so the mesh stands still; a body moves by "
+                f"{path}: {', '.join(unread)} beside it is not read, so the mesh does not move; a body is animated by "
                 f"{' or '.join(_CACHES)}."
             )
         return vertices[None].astype(np.float32), faces, None
@@ -233,13 +236,13 @@ def _read_pc2(path: Path) -> tuple[np.ndarray, float | None]:
     with path.open("rb") as file:
         header = file.read(PC2_HEADER.size)
     if len(header) < PC2_HEADER.size or not header.startswith(PC2_MAGIC):
-        raise InputError(f'{path}: not a PC2 point cache, it does not begin with "POINTCACHE2"; export it again.')
+        raise InputError(f'{path}: not a PC2 point cache: the file does not begin with "POINTCACHE2"; export it again.')
     _, _, points, _, rate, frames = PC2_HEADER.unpack(header)
     # Programs differ in what the rate counts, and the file does not hold that of its scene.
     if rate != 1.0:
         warn(
-            f"{path}: its sample rate is {rate:g}, and its samples are played as frames; export it with one sample a "
-            "frame."
+            f"{path}: its sample rate is {rate:g}, but each sample is played as one frame; export it with one sample "
+            "a frame."
         )
     return _map_points(path, PC2_HEADER.size, frames, points, "<f4"), None
 
@@ -248,13 +251,13 @@ def _read_mdd(path: Path) -> tuple[np.ndarray, float | None]:
     with path.open("rb") as file:
         header = file.read(MDD_HEADER.size)
         if len(header) < MDD_HEADER.size:
-            raise InputError(f"{path}: not an MDD point cache, it ends in its header; export it again.")
+            raise InputError(f"{path}: not an MDD point cache: the file ends within its header; export it again.")
         frames, points = MDD_HEADER.unpack(header)
     positions = _map_points(path, MDD_HEADER.size + 4 * max(frames, 0), frames, points, ">f4")
     times = np.memmap(path, dtype=">f4", mode="r", offset=MDD_HEADER.size, shape=(frames,))
     duration = float(times[-1] - times[0])
     if duration == frames - 1 > 0:
-        warn(f"{path}: its samples are a second apart, so their times are taken for frames.", InputNote)
+        warn(f"{path}: its samples are a second apart, so their times are read as frame numbers.", InputNote)
         return positions, None
     return positions, unrounded_rate((frames - 1) / duration) if duration > 0 else None
 

@@ -37,7 +37,7 @@ class Skeleton:
             name: of the bone.
 
         Raises:
-            ValueError: there is none.
+            ValueError: there is no such entry.
         """
         return self.names.index(name)
 
@@ -65,11 +65,11 @@ class PoseSequence:
 
 
 def branch(parents: Sequence[int] | np.ndarray, tops: Collection[int]) -> np.ndarray:
-    """Mask (bones,) bool of some bones and all that hang on them.
+    """Mask (bones,) bool of some bones and all their descendants.
 
     Args:
-        parents: (bones,) index of each parent, before the bone itself; -1 for a root.
-        tops: indices of those bones.
+        parents: (bones,) index of each bone's parent, always lower than the bone's own; -1 for a root.
+        tops: indices of the topmost bones.
     """
     below = np.zeros(len(parents), dtype=bool)
     for bone, parent in enumerate(parents):
@@ -78,17 +78,17 @@ def branch(parents: Sequence[int] | np.ndarray, tops: Collection[int]) -> np.nda
 
 
 def hand_bones(names: Sequence[str], parents: Sequence[int] | np.ndarray) -> np.ndarray:
-    """Mask (bones,) bool of the hands: both wrists, as Anny and the SMPL family name them, and all that hangs on them.
+    """Mask (bones,) bool of the hands: both wrists, as Anny and the SMPL family name them, and all their descendants.
 
     Args:
         names: (bones,) name of each.
-        parents: (bones,) index of each parent, before the bone itself; -1 for a root.
+        parents: (bones,) index of each bone's parent, always lower than the bone's own; -1 for a root.
     """
     return branch(parents, [bone for bone, name in enumerate(names) if name in _WRISTS])
 
 
 def world_rotations(local: np.ndarray, parents: np.ndarray) -> np.ndarray:
-    """World rotations of bones that are given from their parents.
+    """World rotations of bones whose rotations are given relative to their parents.
 
     Args:
         local: (frames, bones, 4) unit quaternions wxyz.

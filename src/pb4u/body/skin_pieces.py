@@ -23,7 +23,7 @@ _SAMPLES, _COVER = 500, 0.5
 _REACH, _CLOTH, _SEAM = 0.2, 0.005, 0.006
 # Depths under a face, as shares of that at which other skin lies, at which its own other side is looked for.
 _DEPTHS = (0.1, 0.2, 0.35, 0.5, 0.7)
-# Share of the skin that one piece has where what stands beside it is no skin; of a piece, what is of limbs that the
+# Share of the skin that one piece has where what stands beside it is not skin; of a piece, what is of limbs that the
 # rest lacks; and of a limb, what the rest has of one that it lacks.
 _MAIN, _OWN_LIMB, _LIMB_END = 0.5, 0.2, 0.05
 
@@ -31,12 +31,12 @@ _MAIN, _OWN_LIMB, _LIMB_END = 0.5, 0.2, 0.05
 def skin_vertices(surface: CharacterSurface, limbs: np.ndarray) -> np.ndarray:
     """Mask (vertices,) bool of the vertices of the skin.
 
-    A piece that lies over others is none. Where one piece of what is left makes most of it, the others are skin only
-    where they go on at a border of it or have limbs of their own, as a head or a hand that was modelled apart.
+    A piece that lies over others is not skin. If one of the remaining pieces has most of the area, the others are skin
+    only if they continue it at a border or have limbs of their own, such as a head or a hand modelled separately.
 
     Args:
         surface: all meshes that may be skin, in the bind pose, not welded.
-        limbs: (bones,) int64 number of the limb or head of each bone; -1 of none.
+        limbs: (bones,) int64 number of the limb or head of each bone; -1 for none.
     """
     welded, number = surface.welded()
     topology = Topology(welded.faces, len(welded.vertices))

@@ -18,7 +18,7 @@ class SkinningWeights:
 
     Args:
         bones: (vertices, influences) int64 bone indices.
-        weights: (vertices, influences) float32, rows sum to 1; unused places are 0.
+        weights: (vertices, influences) float32, rows sum to 1; unused entries are 0.
     """
 
     bones: np.ndarray
@@ -46,7 +46,7 @@ class SkinningWeights:
         return (self.weights * bones[self.bones]).sum(axis=1)
 
     def at(self, corners: np.ndarray, barycentric: np.ndarray, bone_count: int) -> SkinningWeights:
-        """Weights of other vertices, mixed from those of a triangle each.
+        """Weights of other vertices, each interpolated from the corners of a triangle.
 
         Args:
             corners: (vertices, 3) int64, corners of the triangle that each lies on.
@@ -156,7 +156,7 @@ class SkinnedSurface:
         return torch.from_numpy(result)
 
     def turned(self, offsets: Tensor, transforms: Tensor) -> Tensor:
-        """Offsets from the rest surface, turned with it by the blended rotations of the bones.
+        """Offsets from the rest surface, rotated by the blended rotations of the bones.
 
         Args:
             offsets: (frames, vertices, 3) at rest [m].

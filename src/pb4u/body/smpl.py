@@ -59,7 +59,7 @@ class SmplBody(BodyModel):
     Its shape parameters are beta0, beta1, ..; expressions are left at zero.
 
     Args:
-        path: the .npz or .pkl; a .pkl is read without running anything in it.
+        path: the .npz or .pkl; a .pkl is read without running any code in it.
 
     Raises:
         InputError: the file is not such a model.
@@ -135,7 +135,7 @@ def read_contact(path: Path, vertices: int) -> np.ndarray:
         vertices: number of vertices of the body.
 
     Raises:
-        InputError: the file is neither, or is for another body.
+        InputError: the file has neither format, or is for another body.
     """
     if not path.is_file():
         raise InputError(f"There is no file {path} of body vertices to leave out.")
@@ -146,7 +146,7 @@ def read_contact(path: Path, vertices: int) -> np.ndarray:
                 [int(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()], dtype=np.int64
             )
         except (OSError, ValueError, OverflowError):
-            raise InputError(f"{path} is no list of vertex numbers; write one a line.") from None
+            raise InputError(f"{path} is not a list of vertex numbers; write one a line.") from None
         if len(omitted) and not 0 <= omitted.min() <= omitted.max() < vertices:
             raise InputError(f"{path} names vertices that the body does not have; it has {vertices:,}.")
         contact[omitted] = False

@@ -31,15 +31,14 @@ _FASTEST, _LEAST_LEAP, _LOOKED_AT = 12.0, 0.3, 17
 class VertexSequence(AnimatedBody):
     """An animated surface stored as vertices, played at any frame rate by linear interpolation.
 
-    Its rest pose, that garments are fitted to, is its first frame.
+    Its rest pose, to which garments are fitted, is its first frame.
 
     Args:
-        name: what the user called it.
+        name: as given by the user.
         vertices: (stored frames, vertices, 3) [m], any float type; may be a memory map.
         faces: (faces, 3) int64.
         stored_fps: frames per second of `vertices`.
-        contact: (vertices,) bool, False where contact is not answered and penetration not counted; all True when not
-            given.
+        contact: (vertices,) bool, False where the body takes no part in contact and penetration; by default all True.
 
     Raises:
         InputError: `stored_fps` is not a positive number.
@@ -84,7 +83,7 @@ class VertexSequence(AnimatedBody):
         return torch.from_numpy(np.ascontiguousarray(result))
 
     def recorded_at(self, fps: float) -> VertexSequence:
-        """The same frames, at another rate than their file tells, or was taken to have.
+        """The same frames at another frame rate than that stated or assumed for the file.
 
         Args:
             fps: frames per second of `vertices`.
@@ -105,10 +104,10 @@ class VertexSequence(AnimatedBody):
         return self._with(fps=fps, held_start=round(self.held_start * fps / self.fps))
 
     def smoothed(self, cutoff: float) -> VertexSequence:
-        """The same motion without what is faster than `cutoff` [Hz], by a low-pass that delays nothing.
+        """The same motion without frequencies above `cutoff` [Hz], by a low-pass without delay.
 
         Args:
-            cutoff: frequency from which on motion is taken out [Hz].
+            cutoff: frequency above which motion is removed [Hz].
         """
         if not is_sampled_enough(len(self.vertices), self.stored_fps, cutoff):
             return self
@@ -119,7 +118,7 @@ class VertexSequence(AnimatedBody):
         """The same motion with other vertices left out of contact: `contact` (vertices,) bool is False there.
 
         Args:
-            contact: (vertices,) bool, False where a vertex is left out.
+            contact: (vertices,) bool, False where a vertex is left out of contact.
         """
         return self._with(contact=contact)
 
@@ -147,36 +146,38 @@ def body_from_arrays(
 ) -> VertexSequence:
     """A body of your own, moving or standing, from arrays or lists.
 
-    Warns where the body is not closed, leaps, or seems to be Z up.
+    Warns if the body is not closed, leaps, or seems to be Z up.
 
     Args:
-        vertices: (frames, vertices, 3), or (vertices, 3) of a body that stands [m], Y up.
+        vertices: (frames, vertices, 3), or (vertices, 3) of a body that does not move [m], Y up.
         faces: (faces, 3) vertex indices from 0, counter-clockwise from outside.
         fps: frames per second.
-        name: what it is called.
-        contact: (vertices,) bool, False where contact is not answered; all True when not given.
+        name: its name.
+        contact: (vertices,) bool, False where the body takes no part in contact; by default all True.
         units: unit of the vertices, one of `pb4u.body.length_units.UNITS`.
 
     Raises:
-        InputError: an array has another shape or holds what cannot be used, or no person has its size in these units.
+        InputError: an array has another shape or unusable values, or its size in these units is impossible for a
+            person.
     """
     points = as_numbers(name, "vertices", vertices)
     points = points[None] if points.ndim == 2 else points
     if points.ndim != 3 or points.shape[2] != 3 or not points.size:
         raise InputError(
-            f"{name}: its vertices have the shape {np.shape(vertices)}, where (frames, vertices, 3) or (vertices, 3) "
-            "belongs."
+            f"{name}: its vertices have the shape {np.shape(vertices)}; it must be (frames, vertices, 3) or "
+            "(vertices, 3)."
         )
     corners = checked_faces(name, faces, points.shape[1])
     if units == "metres" and (unit := body_unit(name, extent_of(points[0]))[0]) != units:
         raise InputError(
-            f"{name}: the body measures {extent_of(points[0]):.3g} m in its first frame; coordinates are metres, and "
-            f'these seem to be {unit}: give units="{unit}", or scale them by {UNITS[unit]:g}.'
+            f"{name}: the body measures {extent_of(points[0]):.3g} m in its first frame; coordinates must be in "
+            "metres, "
+            f'and these seem to be {unit}: give units="{unit}", or scale them by {UNITS[unit]:g}.'
         )
     points, corners = require_usable(name, points, corners, units)
     touched = None if contact is None else np.asarray(contact)
     if touched is not None and (touched.shape != (points.shape[1],) or touched.dtype != bool):
-        raise InputError(f"{name}: contact is a bool for each of its {points.shape[1]} vertices.")
+        raise InputError(f"{name}: contact must hold one bool for each of its {points.shape[1]} vertices.")
     sequence = VertexSequence(name, points, corners, fps, touched)
     warn_of_oddities(name, sequence)
     return sequence
@@ -187,14 +188,14 @@ def refuse_large(path: Path | str, triangles: int) -> None:
 
     Args:
         path: file of the body, for the message.
-        triangles: number of them.
+        triangles: number of triangles.
 
     Raises:
         InputError: there are more than `MOST_TRIANGLES`.
     """
     if triangles > MOST_TRIANGLES:
         raise InputError(
-            f"{path} has {triangles:,} triangles or more, and {MOST_TRIANGLES:,} are the most that a body may have; "
+            f"{path} has {triangles:,} triangles or more; a body may have at most {MOST_TRIANGLES:,}; "
             "decimate it in the program it comes from."
         )
 
@@ -208,13 +209,14 @@ def require_usable(
         path: its file, for the message.
         vertices: (frames, vertices, 3), in the unit of the file.
         faces: (faces, 3) int64.
-        units: name of the unit; recognised by the extent of the first frame where left out.
+        units: name of the unit; by default recognised by the extent of the first frame.
 
     Returns:
         The same, in metres; warns of what was changed.
 
     Raises:
-        InputError: it has no faces or too many, a face names no vertex, or a number is not finite or no length.
+        InputError: it has no faces or too many, a face names a missing vertex, or a number is not finite or not a
+            possible length.
     """
     if not len(faces) or not len(vertices):
         raise InputError(f"{path} has no faces, or no frames; a body needs a surface: export it as polygons.")
@@ -241,7 +243,7 @@ def _outward(path: Path | str, vertices: np.ndarray, faces: np.ndarray) -> np.nd
     volume = np.einsum("fc,fc->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
     if volume >= 0:
         return faces
-    warn(f"{path}: the surface is inside out; its faces were turned round.")
+    warn(f"{path}: the surface is inside out; its faces were flipped.")
     return np.ascontiguousarray(faces[:, ::-1])
 
 

@@ -165,7 +165,7 @@ def write(
     refuse_unknown("built-in asset", [name], kinds)
     kind = kinds[name]
     if out.suffix.lower() != _SUFFIXES[kind]:
-        raise InputError(f"{name} is written as {_SUFFIXES[kind]}; {out} ends otherwise.")
+        raise InputError(f"{name} is written as {_SUFFIXES[kind]}; {out} has another suffix.")
     check_writable(out, "the asset")
     check_json_target(json)
     if kind != "material" and (frames < 1 or not 1.0 <= fps <= 1000.0):
@@ -233,8 +233,8 @@ def swatches(
 ) -> None:
     """Drape a disc of each fabric over a smaller one, as a laboratory does, and draw them on one sheet.\f
 
-    Below each stands its drape coefficient, the share of what hangs over that its shadow covers, and what is published
-    of its class. A disc takes 10 to 60 seconds.
+    Below each are its drape coefficient, the share of the free ring that its shadow covers, and the published range of
+    its class. A disc takes 10 to 60 seconds.
 
     Args:
         out: PNG or JPEG to write.
@@ -243,14 +243,14 @@ def swatches(
         json: file for the result.
 
     Raises:
-        InputError: there is no such material, or the file cannot be written or is no picture.
+        InputError: there is no such material, or the file cannot be written or is not a picture.
     """
     from pb4u.export.swatches import Swatch, write_swatches
     from pb4u.garment.material import FABRICS, load_material
     from pb4u.measures.drape_test import drape_test, published
 
     if out.suffix.lower() not in _PICTURES:
-        raise InputError(f"Swatches are drawn as {' or '.join(_PICTURES)}; {out} ends otherwise.")
+        raise InputError(f"Swatches are drawn as {' or '.join(_PICTURES)}; {out} has another suffix.")
     check_writable(out, "the swatches")
     check_json_target(json)
     made_of = {name: load_material(name) for name in material or FABRICS}
@@ -300,7 +300,7 @@ def pack(
     from pb4u.training.packed_data import save_training_data
 
     if out.suffix.lower() != ".npz":
-        raise InputError(f"A training pack is an .npz; {out} ends otherwise.")
+        raise InputError(f"A training pack is written as .npz; {out} has another suffix.")
     check_writable(out, "the pack")
     check_json_target(json)
     configuration = with_settings(TRAININGS.named(preset).configuration, set_ or ())

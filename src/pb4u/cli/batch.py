@@ -47,7 +47,7 @@ def batch(
 ) -> None:
     """Make a dataset: many clips with an index of every label and metric.
 
-    A command that was killed at any instant goes on where it stopped when it is given again. A longer jobs file with
+    A killed command continues where it stopped when it is given again. A longer jobs file with
     the same --out adds to it.\f
 
     Args:
@@ -58,9 +58,9 @@ def batch(
         ray: address of a Ray cluster.
         format: A folder of trajectories, or tar files of many as WebDataset reads them.
         clips_per_shard: Clips in one tar file.
-        half: Keep trajectories in half precision: half the size, good to 0.25 mm.
+        half: Store trajectories in half precision: half the size, exact to 0.25 mm.
         most_clips: Clips that one file may describe. Default: 100,000.
-        plan: Say what it takes on the disk, and make nothing.
+        plan: Only say how much disk space it takes.
         retry: Try clips again that failed before.
         json: file for the result.
         help_all: shows all options.

@@ -40,19 +40,19 @@ def check(
 ) -> None:
     """Diagnose a garment (and a body and a motion) before simulating; each fault with its fix.
 
-    Ends with exit code 1 when simulation would refuse the garment: as it was given, or with --fix as it was mended.\f
+    The exit code is 1 if a simulation would refuse the garment, or with --fix the repaired garment.\f
 
     Args:
         file: Built-in garment, mesh file, sewing pattern or FILE.pkl:NAME of a dictionary; the same as --garment.
         garment: Built-in garment, mesh file, sewing pattern or FILE.pkl:NAME of a dictionary. Repeatable, inner first:
-            then also where they cross each other.
+            then it also reports where garments cross each other.
         body: Body that is to wear it.
         body_shape: shape of the body.
-        body_units: Unit of length of the body's file. Default: told by the size of a person.
+        body_units: Unit of length of the body's file. Default: recognised by the size of a person.
         motion: Motion to read and retarget as well.
         crop: frames of the recording.
         triangles: Triangles of a built-in garment or a pattern.
-        fix: Write the garment with all mended that is safe to mend, to a file of its own.
+        fix: Write a new file with the garment, after all repairs that are safe.
         json: file for the result.
 
     Raises:
@@ -93,9 +93,11 @@ def check(
     if json != "-":
         _print(report, fix, body)
     if refused and fix is not None:
-        raise Pb4uError(f"{fix} was not written: it would still be refused; mend what stays in its program first.")
+        raise Pb4uError(
+            f"{fix} was not written: it would still be refused; repair the rest in the program it comes from first."
+        )
     if refused:
-        raise Pb4uError(f"{' with '.join(names)} would be refused; the findings above say how to mend it.")
+        raise Pb4uError(f"{' with '.join(names)} would be refused; the findings above say how to repair it.")
 
 
 def _named_garments(
@@ -110,7 +112,7 @@ def _named_garments(
         raise InputError(f"Give {file} or --garment {garment[0]}, not both; of several garments each as --garment.")
     names = garment or ([] if file is None else [file])
     if len(names) > 1 and fix is not None:
-        raise InputError("--fix mends one garment at a time; give that one.")
+        raise InputError("--fix repairs one garment at a time; give only that one.")
     if repeated := next((name for k, name in enumerate(names) if name in names[:k]), None):
         raise InputError(f"The garment {repeated} is worn twice, and both would lie in the same place.")
     if not names and motion is None:
@@ -163,9 +165,9 @@ def _is_mesh(name: str) -> bool:
 
 def _check_fix(fix: Path, garment: str | None) -> None:
     if fix.suffix.lower() != ".obj":
-        raise InputError(f"--fix writes an .obj; {fix} ends otherwise.")
+        raise InputError(f"--fix writes an .obj; {fix} has another suffix.")
     if garment is None or not _is_mesh(garment):
-        raise InputError("--fix mends a garment from a mesh file; give that file.")
+        raise InputError("--fix repairs a garment from a mesh file; give that file.")
     check_writable(fix, "--fix")
 
 
@@ -192,7 +194,7 @@ def _check_garment(name: str, figure: Any, body: str, triangles: int | None, fix
     if fix is not None:
         mended, changes, remarks = repair(source, figure)
         if lost := left_out(Path(name), source) if Path(name).suffix.lower() == ".obj" else []:
-            remarks = (*remarks, f"Its {', '.join(lost)} are not in the mended file.")
+            remarks = (*remarks, f"Its {', '.join(lost)} are not in the repaired file.")
         remaining = diagnose(mended, figure, fix, body)
         # A file of this name is taken for a garment that can be worn.
         if not remaining.is_refused:
@@ -236,13 +238,13 @@ def _lines(garment: dict[str, Any], fix: Path | None, body: str) -> list[str]:
             parts = [part if fabric is None else f"{part} ({fabric})" for part, fabric in garment["parts"].items()]
             lines.append(f"parts, for `--material NAME.PART=MATERIAL`: {', '.join(parts)}.")
         if any(finding["mendable"] for finding in garment["findings"]):
-            lines.append(f"To mend what is safe to mend: {command}.")
-        return lines if garment["findings"] else [f"{garment['name']}: nothing to mend.", *lines]
+            lines.append(f"To repair what can be repaired safely: {command}.")
+        return lines if garment["findings"] else [f"{garment['name']}: nothing to repair.", *lines]
     remaining = [finding for finding in garment["remaining"]["findings"] if finding["severity"] != "note"]
     command, refused = fix_command(fix, body), garment["remaining"]["refused"]
     # Nothing is mended in a file that was not written.
-    lines = [f"{'tried' if refused else 'mended'}: {sentence}" for sentence in garment["mended"]]
-    lines += [f"not mended: {sentence}" for sentence in garment["left"]]
+    lines = [f"{'tried' if refused else 'repaired'}: {sentence}" for sentence in garment["mended"]]
+    lines += [f"not repaired: {sentence}" for sentence in garment["left"]]
     lines += [f"stays: {line_of(finding)}" for finding in remaining]
     return lines if refused else [*lines, f"written: {fix}"]
 
@@ -259,9 +261,12 @@ def _print(report: dict[str, Any], fix: Path | None, body: str) -> None:
         for tangle in as_made:
             console.print(f"as made: {tangle['sentence']}.", markup=False)
         for tangle in as_worn:
-            console.print(f"refused: {tangle['sentence']} still. Fix: wear them in another order.", markup=False)
+            console.print(
+                f"refused: {tangle['sentence']} even after untangling. Fix: give the garments in another order.",
+                markup=False,
+            )
         if not as_worn:
-            console.print("laid over each other in this order, they cross nowhere.", markup=False)
+            console.print("worn over each other in this order, the garments cross nowhere.", markup=False)
     if "motion" in report:
         motion = report["motion"]
         length = "without end" if motion["seconds"] is None else f"{motion['seconds']:.2f} s"

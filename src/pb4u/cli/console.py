@@ -36,7 +36,7 @@ def verb(**groups: Mapping[str, Any]) -> Callable[[Callable[..., None]], Callabl
 
     Args:
         groups: by name of an argument that stands for several flags, the type of each as typer reads it. The argument
-            takes what was given by name of the flag, None where nothing was.
+            gets the given values by the name of their flag, None for a flag that was not given.
     """
 
     def made(command: Callable[..., None]) -> Callable[..., None]:
@@ -89,7 +89,7 @@ def tell(payload: Mapping[str, Any], target: str | None, sentence: str) -> None:
     Args:
         payload: the result.
         target: of `--json`.
-        sentence: what the verb did.
+        sentence: sentence on the result of the verb.
 
     Raises:
         InputError: the file cannot be written.
@@ -100,7 +100,7 @@ def tell(payload: Mapping[str, Any], target: str | None, sentence: str) -> None:
 
 
 def with_notes(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """A result with all that its verb warned of as its `notes`, where it has none of its own.
+    """A result with all warnings of its verb as its `notes`, unless it has notes already.
 
     Args:
         payload: the result.
@@ -112,7 +112,7 @@ def write_json(payload: Mapping[str, Any], target: str | None) -> None:
     """Write JSON to a file, or to standard output; numbers that are not finite become null.
 
     Args:
-        payload: what is written.
+        payload: data to write.
         target: of `--json`: path of the file, or "-" for standard output; None for neither.
 
     Raises:
@@ -129,7 +129,7 @@ def write_json(payload: Mapping[str, Any], target: str | None) -> None:
 
 
 def wrote(targets: Iterable[Path], frames: int) -> str:
-    """Sentence on the files that an export left; long sequences by their ends.
+    """Sentence on the files that an export wrote; of a long sequence only the first and last.
 
     Args:
         targets: paths that were exported to.
@@ -164,10 +164,10 @@ def keep_inputs(
     """Refuse an output that would replace what is read, or another output; called before any work is done.
 
     Args:
-        inputs: names and paths of what is read; what is no file or folder is left out.
+        inputs: names and paths of inputs; those that are not a file or folder are ignored.
         outputs: the flag that names each, for the message, and its path; None and "-" write no file.
-        exports: what trajectories are written to, of which some make files of other names.
-        called: the flag or the argument that names those, for the message.
+        exports: paths of exported trajectories; some formats also write files of other names.
+        called: the flag or the argument that names the outputs, for the message.
 
     Raises:
         InputError: two of them are one file.
@@ -192,7 +192,7 @@ def pool_of(workers: int, ray: str | None) -> Callable[[], WorkerPool]:
 
     Args:
         workers: processes on this machine.
-        ray: address of a Ray cluster that does them instead; None for none.
+        ray: address of a Ray cluster to use instead; None for none.
 
     Raises:
         InputError: `workers` is not a positive number.
@@ -248,7 +248,7 @@ class BodyShape(dict[str, float]):
 
         Args:
             key: its name.
-            value: its value, in the range that the body has for it.
+            value: its value, within the body's range.
 
         Raises:
             BadParameter: it is set already.

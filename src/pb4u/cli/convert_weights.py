@@ -23,17 +23,17 @@ def convert_weights(
     """Convert a .pth of the released Pb4U-GNet, MeshGraphNet, HOOD or ContourCraft, number by number.\f
 
     Args:
-        checkpoint: Checkpoint of Pb4U-GNet, HOOD or ContourCraft; nothing in it is run.
+        checkpoint: Checkpoint of Pb4U-GNet, HOOD or ContourCraft; no code in it is run.
         out: File to write, for --model.
         method: Network preset of the checkpoint, such as release_hood. Default: found from its settings and keys.
         licence: Licence of the weights, kept with them. Default: "unknown: ask the author".
         json: file for the result.
 
     Raises:
-        InputError: the file is none of theirs, damaged, or holds something unexpected; nothing is written then.
+        InputError: the file is not a checkpoint of these, damaged, or has unexpected content; nothing is written then.
     """
     if out.suffix != ".safetensors":
-        raise InputError(f"Weights are written as .safetensors; {out} ends in something else.")
+        raise InputError(f"Weights are written as .safetensors; {out} has another suffix.")
     keep_inputs([checkpoint], [("OUT", out), ("--json", json)])
     check_writable(out, "the weights")
     check_json_target(json)

@@ -36,7 +36,7 @@ def dress(
     material: Annotated[str, typer.Option(metavar="NAME|FILE")] = "default",
     json: JsonFlag = None,
 ) -> None:
-    """Sew a pattern around a body, and let it hang.\f
+    """Sew a pattern around a body, and let it settle under gravity.\f
 
     Args:
         pattern: Sewing pattern: GarmentCode's .json, a .toml that names an SVG and its seams, or a dressed garment.
@@ -45,7 +45,7 @@ def dress(
         body: Body that wears it.
         body_shape: shape of the body.
         triangles: Triangles of the garment.
-        material: Cloth that it is sewn of.
+        material: Material of the cloth.
         json: file for the result.
 
     Raises:
@@ -55,7 +55,7 @@ def dress(
     keep_inputs([pattern, body, material], [("--json", json), *(("--out", file) for file in out)])
     for file in out:
         if file.suffix.lower() not in _KINDS:
-            raise InputError(f"--out writes {', '.join(_KINDS)}; {file} ends otherwise.")
+            raise InputError(f"--out writes {', '.join(_KINDS)}; {file} has another suffix.")
         check_writable(file, "--out")
 
     from pb4u.body.library import load_boned_body

@@ -33,8 +33,8 @@ def evaluate(
 ) -> None:
     """Run a protocol of the paper: tables and plots, beside the paper's own figures.
 
-    A command that was killed at any instant goes on where it stopped when it is given again. Other flags with the same
-    --out narrow or extend it. The resolution protocol without flags is 512 rollouts, most of a day on two cores.\f
+    A killed command continues where it stopped when it is given again. The same --out with other flags narrows or
+    extends the run. The resolution protocol without flags is 512 rollouts, most of a day on two cores.\f
 
     Args:
         request: the fields of `EvaluationRequest`.

@@ -36,7 +36,7 @@ def info(
 
     Args:
         model: Also describe a network: what it is, its size, training and licence.
-        trajectory: Also tell the garments of a trajectory, the fabrics of each and what its parts are made of.
+        trajectory: Also list the garments of a trajectory, with their fabrics and those of their parts.
         json: file for the result.
     """
     check_json_target(json)
@@ -93,7 +93,7 @@ def describe_model(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
         name: a shipped network, a checkpoint file or a .pth of the released code.
 
     Raises:
-        InputError: there is none, or its file cannot be used.
+        InputError: there is no such model, or its file cannot be used.
     """
     from pb4u.paper.departures import description
     from pb4u.simulation.models import load_checkpoint_of
@@ -116,7 +116,7 @@ def describe_trajectory(path: Path) -> list[dict[str, Any]]:
         path: of the .npz.
 
     Raises:
-        InputError: it is no trajectory.
+        InputError: it is not a trajectory.
     """
     from pb4u.garment.material import FABRICS, MATERIALS, Material
     from pb4u.measures.metrics import garments_of

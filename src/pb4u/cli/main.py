@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def answer_signals() -> None:
-    """Let a request to end, and a terminal that closes, unwind as an interrupt does, so that nothing is left behind."""
+    """Handle SIGTERM and a closed terminal like an interrupt, so that temporary files are removed."""
 
     def end(number: int, _: object) -> None:
         raise Interrupted(signal=number)

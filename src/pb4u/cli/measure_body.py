@@ -32,7 +32,7 @@ def measure_body(
         InputError: the body has no bones, or a file cannot be read or written.
     """
     if out.suffix.lower() not in (".yaml", ".yml"):
-        raise InputError(f"Measures are written as .yaml; {out} ends in something else.")
+        raise InputError(f"Measures are written as .yaml; {out} has another suffix.")
     keep_inputs([body], [("--out", out), ("--json", json)])
     check_writable(out, "--out")
     check_json_target(json)

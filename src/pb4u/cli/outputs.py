@@ -16,7 +16,7 @@ _PANEL = "Output"
 
 @dataclass(frozen=True)
 class Outputs:
-    """Files that are written of a run, and what is measured for them.
+    """Files that a run writes, and the measurements for them.
 
     Args:
         out: File to write, repeatable. Default: GARMENT_MOTION with .npz, .glb, .png and .mp4.
@@ -28,8 +28,8 @@ class Outputs:
         save_scene: Also write a scene file, to run the same again: `pb4u simulate FILE`.
         live: Also write each frame there as it is computed: NAME.pc2 of each garment on its author's own mesh, and a
             line of progress.jsonl a step.
-        bones: Give each surface of a .glb this many bones (48 at most) in the place of morph targets, which game
-            engines play; says how far off they leave the garment.
+        bones: Give each surface of a .glb this many bones (48 at most) instead of morph targets, since game engines
+            play bones; prints the resulting error.
     """
 
     out: Annotated[tuple[Path, ...], Flag(_PANEL, "FILE")] = ()

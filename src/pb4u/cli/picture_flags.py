@@ -27,11 +27,11 @@ class PictureRequest:
     Args:
         view: Where pictures are seen from: front, back, left, right, or an angle about the vertical. Default: 25.
         elevation: Angle of the camera above the ground, 0 to 90. Default: 8.
-        turntable: Turn of the camera over the whole clip, as 360. Default: 0.
+        turntable: Turn of the camera over the whole clip in degrees, such as 360. Default: 0.
         size: Size of a picture in pixels. Default: 560x800.
         colour: Colour of the innermost garment in pictures, as a name or #RRGGBB; given again, of the next. Default:
             that of its material.
-        background: Colour behind and below them, as a name or #RRGGBB. Default: light grey.
+        background: Colour of background and ground, as a name or #RRGGBB. Default: light grey.
         weave: Draw the threads of cloth that has UVs. Default: on.
     """
 
@@ -48,10 +48,10 @@ PICTURE_FLAGS = record_flags(PictureRequest)
 
 
 def view_of(targets: Sequence[Path], values: Mapping[str, Any]) -> View | None:
-    """The view that the flags ask for; None where none of them is given.
+    """The view that the flags request; None if no such flag is given.
 
     Args:
-        targets: files to write, of suffixes that are known; one of them at least has pictures where a flag is given.
+        targets: files to write, with known suffixes; if a flag is given, at least one must have pictures.
         values: values of the flags by name.
 
     Raises:
@@ -103,5 +103,5 @@ def _rgb(colour: str) -> Colour:
     try:
         r, g, b = ImageColor.getrgb(colour)[:3]
     except ValueError as error:
-        raise InputError(f"{colour!r} is no colour; give a name such as crimson, or #RRGGBB.") from error
+        raise InputError(f"{colour!r} is not a colour; give a name such as crimson, or #RRGGBB.") from error
     return r / 255, g / 255, b / 255

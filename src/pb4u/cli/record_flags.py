@@ -58,7 +58,7 @@ def _number_or_none(text: str) -> float | str:
 
 
 def is_on_or_off(entry: Entry) -> bool:
-    """Whether a flag takes `on` or `off`; the other switches have flags of their own for yes and no.
+    """Whether a flag takes `on` or `off`; other switches have separate flags for yes and no.
 
     Args:
         entry: the field.
@@ -71,7 +71,7 @@ def option(entry: Entry, more: str = "", parser: Callable[[str], Any] | None = N
 
     Args:
         entry: the field.
-        more: added to the help.
+        more: text added to the help.
         parser: makes the value of the text.
     """
     text = entry.help + more
@@ -99,7 +99,7 @@ def given_values(record: type, flags: Mapping[str, Any]) -> dict[str, Any]:
         flags: values by name of the field, None where a flag is not given.
 
     Raises:
-        InputError: a list of numbers has something else in it.
+        InputError: a list of numbers has an entry that is not a number.
     """
     return {name: _value(described(record)[name], value) for name, value in flags.items() if value is not None}
 
@@ -112,5 +112,5 @@ def _value(entry: Entry, value: Any) -> Any:
     names = tuple(name.strip() for name in value.split(",") if name.strip())
     for name in names if entry.kind == "counts" else ():
         if not name.isdecimal():
-            raise InputError(f"--{entry.name.replace('_', '-')} takes whole numbers such as 5,15,30; {name!r} is none.")
+            raise InputError(f"--{entry.name.replace('_', '-')} takes whole numbers such as 5,15,30, not {name!r}.")
     return tuple(map(int, names)) if entry.kind == "counts" else names

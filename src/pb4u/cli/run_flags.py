@@ -22,7 +22,7 @@ class GarmentValue(NamedTuple):
     """A value of a flag for one garment.
 
     Args:
-        garment: name of the garment; None for whichever its place in the command says.
+        garment: name of the garment; None if the order in the command decides.
         value: the value.
     """
 
@@ -40,7 +40,7 @@ class GarmentValue(NamedTuple):
         """Value from `N` or `NAME=N`.
 
         Raises:
-            BadParameter: N is no whole number.
+            BadParameter: N is not a whole number.
         """
         name, value = cls.parse(text)
         try:
@@ -53,7 +53,7 @@ class GarmentValue(NamedTuple):
         """Value from `X` or `NAME=X`.
 
         Raises:
-            BadParameter: X is no number.
+            BadParameter: X is not a number.
         """
         name, value = cls.parse(text)
         try:
@@ -66,7 +66,7 @@ class GarmentValue(NamedTuple):
         """Value from `A:B` or `NAME=A:B`.
 
         Raises:
-            BadParameter: A and B are no whole numbers.
+            BadParameter: A and B are not whole numbers.
         """
         name, value = cls.parse(text)
         pair = value.split(":")
@@ -93,7 +93,7 @@ class GarmentValue(NamedTuple):
         """Value from `NAME.PART=N`.
 
         Raises:
-            BadParameter: no part is named, or N is no number.
+            BadParameter: no part is named, or N is not a number.
         """
         name, value = cls.parse(text)
         try:
@@ -126,7 +126,7 @@ AsReleasedFlag: TypeAlias = Annotated[
 
 
 def released_entries(method: str) -> dict[str, Any]:
-    """Entries of a run that plays a recording as the released code of `method`, a key of `AS_RELEASED`, did."""
+    """Entries of a run that plays a recording like the released code of `method`, a key of `AS_RELEASED`."""
     return {
         "as_recorded": True,
         "rest_shape": "moulded",
@@ -152,7 +152,7 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
         flags: values by name of the field, None where a flag is not given; `tuck` and `as_released` beside them.
 
     Raises:
-        InputError: a flag names a garment that is not there, or is given for none in particular.
+        InputError: a flag names an unknown garment, or does not say which garment it is for.
     """
     values = {name: value for name, value in flags.items() if value is not None}
     tuck, tack, method = values.pop("tuck", []), values.pop("tack", []), values.pop("as_released", None)
@@ -175,7 +175,7 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
         values["tacks"] = [[value.value for value in tack if value.garment in (None, name)] or None for name in names]
         for value in tack:
             if value.garment is None and len(names) > 1:
-                raise InputError(f"--tack says of which garment its vertices are, as in --tack {names[0]}=10:210.")
+                raise InputError(f"--tack must name the garment of its vertices, as in --tack {names[0]}=10:210.")
         refuse_unknown("garment", [value.garment for value in tack if value.garment], names, "The scene")
     for entry in described(Run).values():
         if entry.name in values and is_on_or_off(entry):
@@ -244,7 +244,7 @@ def _one_each(flag: str, flag_values: Sequence[GarmentValue], names: Sequence[st
     unnamed = [value.value for value in flag_values if value.garment is None]
     if len(unnamed) not in (0, 1, len(names)):
         raise InputError(
-            f"--{flag} is given {len(unnamed)} times, and the garments are {len(names)}; give it once for all, once a "
+            f"--{flag} is given {len(unnamed)} times for {len(names)} garments; give it once for all, once for each "
             f"garment in their order, or as NAME={flag.upper()}."
         )
     values = unnamed if len(unnamed) == len(names) else [unnamed[0] if unnamed else None] * len(names)

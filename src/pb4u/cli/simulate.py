@@ -81,7 +81,7 @@ def _refuse_garment(scene: Path) -> None:
 
     if str(scene) in garment_names() or (scene.suffix.lower() in (*READERS, *SEWN) and scene.suffix.lower() != ".toml"):
         also = f"; pb4u view {scene} plays it if it is a trajectory" if scene.suffix.lower() == ".npz" else ""
-        raise InputError(f"{scene} is no scene file; if it is a garment, give it as --garment {scene}{also}.")
+        raise InputError(f"{scene} is not a scene file; if it is a garment, give it as --garment {scene}{also}.")
 
 
 def _default_targets(run: Run) -> list[Path]:
@@ -171,14 +171,14 @@ def _say_how_it_ended(
         )
     if diverged == 0:
         raise Pb4uError(
-            "The run was broken at its first frame: the cloth is stretched by more than 60 %, or over 0.5 m from where "
-            "the body carries it. What was written shows it; look at the garment with `pb4u check`, or ask for more "
-            "--triangles."
+            "The run was broken at its first frame: the cloth is stretched by more than 60 %, or lies over 0.5 m from "
+            "where the body's motion alone puts it. The written file shows it; look at the garment with `pb4u check`, "
+            "or ask for more --triangles."
         )
     if diverged is not None:
         warn(
-            f"The run diverged at frame {diverged}: the cloth is stretched by more than 60 %, or over 0.5 m from where "
-            f"the body carries it; {_advice(model)}."
+            f"The run diverged at frame {diverged}: the cloth is stretched by more than 60 %, or lies over 0.5 m from "
+            f"where the body's motion alone puts it; {_advice(model)}."
         )
     if through_cloth:
         warn(through_cloth)

@@ -12,7 +12,7 @@ from pb4u.training.request import TrainingRequest
 
 @verb(request=record_flags(TrainingRequest))
 def train(*, request: Mapping[str, Any], json: JsonFlag = None) -> None:
-    """Train a network. After a kill, --resume goes on from the last checkpoint; an interrupt saves and ends."""
+    """Train a network. After a kill, --resume continues from the last checkpoint; an interrupt saves and ends."""
     from pb4u.training.session import train as run
 
     check_json_target(json)

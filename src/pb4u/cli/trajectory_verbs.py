@@ -77,11 +77,11 @@ def view(
 
     Args:
         trajectory: Trajectory .npz of `pb4u simulate`, or a result .pkl of HOOD's family.
-        other: Another one, shown beside it.
-        host: Address to listen on; 0.0.0.0 lets in who comes by the network with the token of its address.
-        port: Port to listen on; 0 takes a free one.
+        other: Another trajectory, shown beside it.
+        host: Address to listen on; 0.0.0.0 admits other machines that open its address with the token.
+        port: Port to listen on; 0 chooses a free one.
         browser: Open the page in the browser.
-        out: Folder that exports are kept in, besides being downloaded.
+        out: Folder in which exports are also saved, besides being downloaded.
     """
     from pb4u.compat.result_pickle import open_trajectory
     from pb4u.viewer.clip import RecordedClip

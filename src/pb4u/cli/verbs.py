@@ -68,7 +68,7 @@ class Verb(_Switches, TyperCommand):
         short.format_help(ctx, formatter)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Values of a verb; of an unknown option the nearest one is named, where all similar ones would be by name."""
+        """Values of a verb; for an unknown option only the nearest one is suggested."""
         try:
             return super().parse_args(ctx, args)
         except Exception as error:

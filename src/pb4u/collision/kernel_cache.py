@@ -228,6 +228,6 @@ def _delete_earlier_versions(files: FunctionCache) -> None:
 @functools.cache
 def _say_where_kernels_could_be_kept(folder: Path) -> None:
     warn(
-        f"Compiled kernels cannot be kept in {folder}, so every run compiles them again: set NUMBA_CACHE_DIR to a "
-        "folder that you alone may write."
+        f"Compiled kernels cannot be stored in {folder}, so every run compiles them again: set NUMBA_CACHE_DIR to a "
+        "folder to which only you can write."
     )

@@ -53,7 +53,7 @@ class TriangleSurface:
         faces = np.asarray(faces, dtype=np.int64)
         kept = np.arange(len(faces)) if region is None else np.flatnonzero(np.asarray(region)[faces].all(axis=1))
         if not len(kept):
-            raise InputError("The body surface has no face that may be touched; its contact region is empty.")
+            raise InputError("The contact region of the body is empty: no face of its surface takes part in contact.")
         self.caps = _caps(faces, kept, vertex_count) if capped else faces[:0]
         self.region_faces = faces[kept]
         self.faces = np.concatenate([self.region_faces, self.caps])
@@ -170,7 +170,7 @@ class PosedSurface:
         asked = torch.as_tensor(points).detach()
         queried = asked.to(self.vertices.device, torch.float64)
         if not bool(torch.isfinite(queried).all()):
-            raise InputError("A position is not finite (NaN or infinite); look at the file or arrays of the garment.")
+            raise InputError("A position is not finite (NaN or infinite); check the file or arrays of the garment.")
         if self.compiled:
             found = Found.nothing(len(queried))
             self.update_closest(queried.numpy(), found)

@@ -98,8 +98,8 @@ def remesh(
     vertices, faces = _polish(vertices, faces, locked, surface)
     if not smooth and (share := float(face_areas(vertices, faces).sum()) / area) < _KEPT_AREA:
         warn(
-            f"Remeshed to {len(faces)} triangles only {100 * share:.0f} % of the area is left: layers nearer to each "
-            "other than an edge, such as turned-up cuffs, are lost; ask for more triangles, or keep the mesh."
+            f"Remeshed to {len(faces)} triangles only {100 * share:.0f} % of the area is left: layers closer to each "
+            "other than an edge length, such as turned-up cuffs, are lost; ask for more triangles, or keep the mesh."
         )
     result = Topology(faces, len(vertices))
     if len(result.boundary_loops) != len(source.boundary_loops):
@@ -109,8 +109,8 @@ def remesh(
         )
     if abs(len(faces) / triangles - 1.0) > 0.05:
         raise InputError(
-            f"This surface cannot be meshed evenly with {triangles} triangles (the nearest found is {len(faces)}): "
-            f"ask for a count nearer to that."
+            f"This surface cannot be meshed evenly with {triangles} triangles (the nearest possible count is "
+            f"{len(faces)}): ask for a count closer to that."
         )
     return vertices, faces
 

@@ -154,7 +154,7 @@ class SurfaceTree:
             ValueError: they are given together.
         """
         if among is not None and (known is not None or lasting):
-            raise ValueError("pairs of some vertices are neither taken from known pairs nor kept as such")
+            raise ValueError("pairs of some vertices are neither among the known pairs nor stored as such")
         vertices = np.ascontiguousarray(vertices, dtype=np.float64)
         moving = self._still if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
         reaches = Reaches(reach, min(reach, reach if obstacle_reach is None else obstacle_reach), self.first_obstacle)

@@ -23,7 +23,7 @@ CLEARANCE = 2e-3
 
 @dataclass(frozen=True)
 class StandingStart(FirstFrame):
-    """Pb4U-GNet and HOOD: one long step on the body standing at frame 2, whose displacement becomes velocity.
+    """Pb4U-GNet and HOOD: one long step with the body fixed at frame 2; its displacement becomes the velocity.
 
     Args:
         push: factor on the push out of the body before it; 1.5 in the code of Pb4U-GNet, 1 in HOOD's.
@@ -66,13 +66,13 @@ class SkinnedStart(FirstFrame):
 
 
 def pushed_out(positions: Tensor, body: ColliderPose, factor: float) -> Tensor:
-    """Positions (vertices, 3) [m] pushed along the normal of the body face whose centre is nearest to each.
+    """Positions (vertices, 3) [m], each pushed along the normal of the body face with the nearest centre.
 
     Source: the released code (reference 1.8). One world; without a body nothing moves.
 
     Args:
         positions: (vertices, 3) [m].
-        body: where the bodies are.
+        body: pose of the bodies.
         factor: on the missing distance to `CLEARANCE`.
     """
     (surface,) = body.whole_surfaces

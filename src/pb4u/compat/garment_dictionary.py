@@ -46,7 +46,7 @@ def read_dictionary_garment(entry: DictionaryEntry, material: Material) -> Garme
         material: its cloth.
 
     Raises:
-        InputError: the file is none, lacks the garment, or its parts do not fit each other.
+        InputError: the file is not a dictionary of garments, lacks the garment, or its parts do not fit each other.
     """
     if not entry.path.is_file():
         raise InputError(f"There is no garment file {entry.path}.")
@@ -57,7 +57,9 @@ def read_dictionary_garment(entry: DictionaryEntry, material: Material) -> Garme
     )
     faces, count = arrays["faces"].astype(np.int64), counts["vertices"]
     if len(Topology(faces, count).non_manifold_edges):
-        raise InputError(f"{where}: some edges are shared by three or more faces; mend it where it comes from.")
+        raise InputError(
+            f"{where}: some edges are shared by three or more faces; repair the mesh in the program it comes from."
+        )
     types, corners = arrays.get("node_type", np.zeros(count)), arrays.get("faces_uv")
     return Garment(
         entry.title,
@@ -115,7 +117,9 @@ def _of_resolution(entry: DictionaryEntry, fields: Mapping[str, Any]) -> Mapping
     level = (entry.name or "").rpartition("/")[2]
     chosen = level if level in levels else next(iter(levels), None)
     if chosen is None:
-        raise InputError(f'{entry.path}, garment {entry.title} lacks "faces"; it is no garment of the released code.')
+        raise InputError(
+            f'{entry.path}, garment {entry.title} lacks "faces"; it is not a garment of the released code.'
+        )
     return {**fields, **fields[chosen]}
 
 

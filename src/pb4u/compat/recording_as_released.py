@@ -46,9 +46,9 @@ class SmplSequence:
 
 
 class RecordingAsItIs(MotionAsRecorded):
-    """A recording of SMPL that nothing is changed of: not turned, not moved, not set on the ground, not resampled.
+    """A recording of SMPL without any change: not rotated, not moved, not placed on the ground, not resampled.
 
-    Hands are held flat, as the released code does on loading. Arms held away turn the shoulders about z by so much.
+    Hands are held flat, as the released code does on loading. `arms_away` turns the shoulders about z by that angle.
 
     Args:
         path: pickle of `body_pose`, `global_orient`, `transl`, `betas`, or of `pose`, `translation`, `shape` (VTO), or
@@ -78,15 +78,15 @@ class RecordingAsItIs(MotionAsRecorded):
         return {f"beta{k}": float(value) for k, value in enumerate(self.betas)}
 
     def led_in(self, body: ShapedBody, fps: float, frames: int) -> PoseSequence:
-        """The whole recording with frames before it, from the zero pose facing as its first frame does.
+        """The whole recording after lead-in frames from the zero pose, with the heading of its first frame.
 
         Args:
-            body: who performs it.
+            body: the body that performs it.
             fps: frames per second, which is the recording's own [1/s].
-            frames: number of frames before it; the released code's N interpolated ones are N + 1 here.
+            frames: number of lead-in frames; the released code's N interpolated ones are N + 1 here.
 
         Raises:
-            InputError: another frame rate, or a body that is no SMPL.
+            InputError: another frame rate, or a body that is not of SMPL.
         """
         self._require_rate(fps)
         count = len(self._local)
@@ -128,7 +128,8 @@ def read_smpl_sequence(path: Path, crop: tuple[int, int] | None = None) -> SmplS
         crop: (first, stop) frames to keep, counted at the recording's own rate.
 
     Raises:
-        InputError: it is none, is of another skeleton, or holds values that are not finite, or the crop is not inside.
+        InputError: it is not such a file, has another skeleton or values that are not finite, or the crop is not
+            inside.
     """
     if not path.is_file():
         raise InputError(f'There is no motion file "{path}".')
@@ -136,13 +137,13 @@ def read_smpl_sequence(path: Path, crop: tuple[int, int] | None = None) -> SmplS
     poses, translations, betas = sequence.poses, sequence.translations, sequence.betas
     if poses.shape[1:] != (_JOINTS, 3) or translations.shape != (len(poses), 3) or not len(poses) or betas.ndim != 1:
         raise InputError(
-            f"{path}: poses {poses.shape}, translations {translations.shape} and shape {betas.shape} are not those of "
+            f"{path}: poses {poses.shape}, translations {translations.shape} and shape {betas.shape} do not belong to "
             f"frames of {_JOINTS} joints."
         )
     finite_frames(np.concatenate([poses.reshape(len(poses), -1), translations], axis=1), path)
     low, _, high = BETA_RANGE
     if not ((betas >= low) & (betas <= high)).all():
-        raise InputError(f"{path}: its shape has numbers outside {low:g} to {high:g}, which no body is drawn with.")
+        raise InputError(f"{path}: its shape has numbers outside {low:g} to {high:g}; save one within them.")
     first, stop = crop or (0, len(poses))
     if not 0 <= first < stop <= len(poses):
         raise InputError(f"{path}: the crop {first}:{stop} is not inside the recording of {len(poses)} frames.")
@@ -181,8 +182,8 @@ def _read_amass(path: Path) -> tuple[SmplSequence, int]:
     speed = step * FPS / float(rate)
     if abs(speed - 1.0) > _SAME_SPEED:
         warn(
-            f"{path.name}: recorded at {float(rate):g} frames per second and played at {FPS:g} with one of every "
-            f"{step}, as the released code does: at {speed:.2f} of its speed."
+            f"{path.name}: recorded at {float(rate):g} frames per second; as in the released code, one frame of every "
+            f"{step} is played, at {FPS:g} frames per second: {speed:.2f} times the recorded speed."
         )
     x, y, z = translations.T
     joints = _turned_upright(poses[:, : 3 * _JOINTS].reshape(-1, _JOINTS, 3))
@@ -208,5 +209,5 @@ def _numbers(path: Path, content: Mapping, key: str) -> np.ndarray:
 def _of_another_skeleton(path: Path, poses: np.ndarray) -> InputError:
     return InputError(
         f"{path} is a recording of another skeleton than SMPL's {_JOINTS} joints: its poses have the shape "
-        f"{poses.shape}; leave --as-recorded out to retarget it."
+        f"{poses.shape}; leave out --as-recorded to retarget it."
     )

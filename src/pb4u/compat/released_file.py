@@ -24,14 +24,14 @@ _LAYERS = {"0": "first", "2": "second", "4": "last"}
 
 
 class ReleasedFile:
-    """Tensors and settings of a released checkpoint; remembers what was read.
+    """Tensors and settings of a released checkpoint; remembers which entries were read.
 
     Args:
         path: of the file, for messages.
         content: the dictionary in it.
 
     Raises:
-        InputError: it is no checkpoint of a released network, or holds something other than finite numbers.
+        InputError: it is not a checkpoint of a released network, or holds something other than finite numbers.
     """
 
     def __init__(self, path: Path, content: Any) -> None:
@@ -43,7 +43,7 @@ class ReleasedFile:
         self.optimiser = content.get("optimizer") or {}
         if not isinstance(weights, Mapping) or not any(str(key).startswith(NETWORK) for key in weights):
             raise InputError(
-                f"{path} is no checkpoint of Pb4U-GNet, HOOD or ContourCraft: it has no weights named {NETWORK}*."
+                f"{path} is not a checkpoint of Pb4U-GNet, HOOD or ContourCraft: it has no weights named {NETWORK}*."
             )
         self.weights: dict[str, Tensor] = {}
         for key, value in weights.items():
@@ -62,14 +62,16 @@ class ReleasedFile:
             path: the .pth or .safetensors file.
 
         Raises:
-            InputError: it is damaged, of another project, or holds something unexpected.
+            InputError: it is damaged, of another project, or has unexpected content.
         """
         if path.suffix.lower() != ".safetensors":
             return cls(path, load_tensors(path))
         try:
             return cls(path, load_file(path))
         except (SafetensorError, OSError, ValueError) as error:
-            raise InputError(f"{path} is no whole safetensors file ({error_text(error)}); fetch it again.") from None
+            raise InputError(
+                f"{path} is not a complete safetensors file ({error_text(error)}); download it again."
+            ) from None
 
     def tensor(self, key: str, columns: int | None = None) -> Tensor:
         """The weights called `key`, float32.
@@ -82,21 +84,21 @@ class ReleasedFile:
             InputError: they are missing or of other than `columns`.
         """
         if key not in self.weights:
-            raise InputError(f"{self.path} lacks {key}; it is half a checkpoint, or of another project.")
+            raise InputError(f"{self.path} lacks {key}; it is an incomplete checkpoint, or one of another project.")
         self.used.add(key)
         tensor = self.weights[key]
         if columns is not None and (tensor.ndim != 2 or tensor.shape[1] != columns):
             raise InputError(
-                f"{self.path} has {key} of the shape {tuple(tensor.shape)}, where {columns} columns belong."
+                f"{self.path} has {key} of the shape {tuple(tensor.shape)}; it must have {columns} columns."
             )
         return tensor
 
     def mlp(self, prefix: str, layers: str = ".0.layers.") -> dict[str, Tensor]:
-        """The MLP called `prefix` by our names; with a LayerNorm unless `layers` says that none ends it.
+        """The MLP `prefix` under our names; with a LayerNorm at its end unless `layers` says otherwise.
 
         Args:
             prefix: start of its keys in the file.
-            layers: what stands between the prefix and the number of a layer.
+            layers: text between the prefix and the number of a layer.
         """
         prefix = NETWORK + prefix
         layer_weights = {
@@ -146,7 +148,7 @@ class ReleasedFile:
 
         Args:
             names: path to it; "*" is the only entry at its level.
-            default: returned where the file says nothing.
+            default: returned if the file has no such setting.
         """
         value: Any = self.settings
         for name in names:
@@ -172,7 +174,7 @@ def prefixed(prefix: str, mlp: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def reordered(weight: Tensor, names: Sequence[str], order: Sequence[str]) -> Tensor:
-    """The first layer of an MLP of parts of one width, its parts in another order.
+    """The first layer of an MLP whose input has parts of one width, with these parts in another order.
 
     Args:
         weight: (width, columns).
@@ -183,6 +185,8 @@ def reordered(weight: Tensor, names: Sequence[str], order: Sequence[str]) -> Ten
         InputError: its columns are not those of as many parts.
     """
     if weight.shape[1] % len(names):
-        raise InputError(f"A block reads {weight.shape[1]} columns, which are not {len(names)} latents.")
+        raise InputError(
+            f"A block has {weight.shape[1]} input columns, which cannot be divided into {len(names)} latents."
+        )
     parts = dict(zip(names, weight.chunk(len(names), dim=1), strict=True))
     return torch.cat([parts[name] for name in order], dim=1)

@@ -41,7 +41,7 @@ class ReleasedMethod:
 
     Args:
         preset: name of its configuration here.
-        models: names of it in the settings of a file.
+        models: its names in the settings of a file.
         marker: part of a key that only its files have.
         columns: columns of each encoder as the file has them, by table; "-" before one whose sign is another here.
         kinds: encoder of every kind of edges of ours, its table and its statistics.
@@ -79,7 +79,8 @@ def _require_steps(file: ReleasedFile, blocks: int) -> None:
     steps = file.setting("model", "*", "message_passing_steps", default=blocks)
     if steps != blocks or not blocks:
         raise InputError(
-            f"{file.path} holds weights of {blocks} message-passing blocks, but its settings say {steps}; load it anew."
+            f"{file.path} holds weights of {blocks} message-passing blocks, but its settings say {steps}; download it "
+            "again."
         )
 
 

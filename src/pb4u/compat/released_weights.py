@@ -48,10 +48,10 @@ class ReleasedWeights:
     Args:
         name: stem of the file.
         preset: name of the released network.
-        configuration: our network that they fit.
+        configuration: of our network with these weights.
         tensors: its state; float32 as in the file, float64 where something was folded.
-        record: what the file says about its training.
-        licence: what the user says of it, or that it is unknown.
+        record: data of the file on its training.
+        licence: as given by the user, else that it is unknown.
         dropped: keys in the file that nothing reads.
     """
 
@@ -84,7 +84,7 @@ class ReleasedWeights:
 
 
 def read_released(path: Path | str, method: str | None = None, licence: str | None = None) -> ReleasedWeights:
-    """Weights in a checkpoint of the released code; nothing in it is run.
+    """Weights in a checkpoint of the released code; no code in it is run.
 
     Args:
         path: the .pth file, or its weights alone as .safetensors with the same keys.
@@ -92,7 +92,7 @@ def read_released(path: Path | str, method: str | None = None, licence: str | No
         licence: licence of the weights; None where the user does not know it.
 
     Raises:
-        InputError: the file is none of a known method, damaged, or holds something unexpected.
+        InputError: the file is of no known method, damaged, or has unexpected content.
     """
     path = Path(path)
     if not path.is_file():
@@ -128,7 +128,7 @@ def _method(file: ReleasedFile, name: str | None) -> ReleasedMethod:
     ]
     if not fitting:
         hint = f"its settings say {title}, and its" if title else "its"
-        raise InputError(f"{file.path} is of no known method: {hint} keys are those of none; name one with --method.")
+        raise InputError(f"{file.path} is of no known method: {hint} keys match none; name one with --method.")
     return fitting[0]
 
 
@@ -148,7 +148,10 @@ def _material_range(file: ReleasedFile) -> MaterialRange:
     }
     for name, (low, high) in ranges.items():
         if not 0.0 < low <= high < float("inf"):
-            raise InputError(f"{file.path} was trained with {name} from {low:g} to {high:g}, which is no range.")
+            raise InputError(
+                f"{file.path} was trained with {name} from {low:g} to {high:g}; a range must be "
+                "positive, finite and rising."
+            )
     return MaterialRange(ranges["density"], ranges[_MU], ranges[_LAMBDA], ranges[_BENDING], margin=None)  # type: ignore[arg-type]
 
 
@@ -301,5 +304,5 @@ def _dropped(file: ReleasedFile, method: ReleasedMethod) -> tuple[str, ...]:
     unread = sorted(file.weights.keys() - file.used)
     foreign = [key for key in unread if not any(re.match(pattern, key) for pattern in method.unread)]
     if foreign:
-        raise InputError(f"{file.path} holds {foreign[0]}, which {method.preset} has no place for.")
+        raise InputError(f"{file.path} holds {foreign[0]}, which the network {method.preset} does not have.")
     return tuple(unread)

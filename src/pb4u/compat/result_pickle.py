@@ -27,7 +27,7 @@ def write_result(trajectory: Trajectory, path: Path, progress: Progress) -> None
     """Write {pred, obstacle, cloth_faces, obstacle_faces, metrics}; the metrics are left empty.
 
     Args:
-        trajectory: what is written.
+        trajectory: to write.
         path: file to write.
         progress: called with (frames done, frames in all), before and after.
     """
@@ -46,9 +46,9 @@ def write_result(trajectory: Trajectory, path: Path, progress: Progress) -> None
 
 
 def read_result(path: Path) -> Trajectory:
-    """Trajectory in a result of the released code; nothing in it is run.
+    """Trajectory in a result of the released code; no code in it is run.
 
-    The files hold no rest shape and no velocities: the first frame stands for the one, differences for the other.
+    The files have no rest shape and no velocities: the first frame and differences of positions replace them.
 
     Args:
         path: the .pkl.
@@ -60,7 +60,7 @@ def read_result(path: Path) -> Trajectory:
         raise InputError(f"There is no trajectory {path}.")
 
     def refuse(what: str) -> InputError:
-        return InputError(f"{path} is no result of the released code: {what}.")
+        return InputError(f"{path} is not a result of the released code: {what}.")
 
     members, counts = read_members(load_pickle(path), _LAYOUT, refuse)
     require_places(members, {"cloth_faces": "vertices", "obstacle_faces": "body vertices"}, counts, refuse)

@@ -25,7 +25,7 @@ CLIPS, SHARDS, INDEX = "clips", "shards", "index.parquet"
 
 
 class Place(NamedTuple):
-    """Where the trajectory of a clip lies.
+    """Location of the trajectory of a clip.
 
     Args:
         file: path within the folder.
@@ -37,10 +37,10 @@ class Place(NamedTuple):
 
 
 class DatasetFolder(JobFolder):
-    """The files of one dataset; while open, it is this process's alone.
+    """The files of one dataset; while open, no other process may use the folder.
 
     Args:
-        path: the folder, made where it is not there.
+        path: the folder, created if absent.
         clips_per_shard: clips of one tar file, as WebDataset reads them; None keeps every clip a file of its own.
         half: whether trajectories are kept in half precision.
 
@@ -53,7 +53,7 @@ class DatasetFolder(JobFolder):
 
     def __init__(self, path: Path, clips_per_shard: int | None, half: bool) -> None:
         if clips_per_shard is not None and clips_per_shard < 1:
-            raise InputError(f"A shard has 1 clip or more, not {clips_per_shard}.")
+            raise InputError(f"A shard must have 1 clip or more, not {clips_per_shard}.")
         self._clips_per_shard = clips_per_shard
         form = "folder" if clips_per_shard is None else "webdataset"
         super().__init__(path, "a dataset", {"format": form, "precision": "half" if half else "full"})
@@ -72,7 +72,7 @@ class DatasetFolder(JobFolder):
         return None if self.place(job.key) is None else super().result(job)
 
     def place(self, key: str) -> Place | None:
-        """Where the trajectory of a clip lies; None where there is none.
+        """Location of the trajectory of a clip; None where there is none.
 
         Args:
             key: address of the clip.
@@ -134,6 +134,6 @@ def _shard_members(folder: Path) -> dict[str, str]:
             with tarfile.open(shard, "r:") as archive:
                 names = archive.getnames()
         except tarfile.TarError as error:
-            raise InputError(f"{shard} is no shard that can be read: {error}; move it away.") from None
+            raise InputError(f"{shard} is not a shard that can be read: {error}; move it away.") from None
         shards |= {name.removesuffix(".npz"): shard.name for name in names if name.endswith(".npz")}
     return shards

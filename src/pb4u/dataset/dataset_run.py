@@ -39,25 +39,25 @@ def make_dataset(
     say: Callable[[str], None] = lambda sentence: None,
     progress: Callable[[str], AbstractContextManager[Progress]] = quiet,
 ) -> dict[str, Any]:
-    """Make the clips of many runs into a folder, going on where an earlier run stopped, and write its index.
+    """Simulate the clips of many runs into a folder, continuing where an earlier run stopped, and write its index.
 
     Args:
-        runs: what the clips are of.
-        out: the folder, made where it is not there.
-        pool: makes those who do the work; called only where clips are missing.
+        runs: runs of the clips.
+        out: the folder, created if absent.
+        pool: makes the workers; called only where clips are missing.
         clips_per_shard: clips of one tar file, as WebDataset reads them; None keeps every clip a file of its own.
         half: keep trajectories in half precision.
         jobs_file: name of the file that describes the runs, for the manifest.
         retry: try clips again that failed before.
-        plan_only: say what it takes, and make nothing.
-        say: takes sentences on how it goes.
+        plan_only: only say how much time and space it takes.
+        say: called with sentences on the progress.
         progress: opens a display for a label; none by default.
 
     Returns:
         Counts, bytes and seconds of the dataset, as JSON; `failures` lists the clips that could not be made.
 
     Raises:
-        InputError: something is unknown or unusable, or the disk has not room enough; before any work.
+        InputError: something is unknown or unusable, or the disk is too full; raised before any work.
         Pb4uError: the disk refuses, or it was interrupted.
     """
     require_parquet()
@@ -93,7 +93,7 @@ def _require_room(size: int, out: Path) -> None:
     if size + _SPARE > free:
         raise InputError(
             f"The clips take about {size_text(size)}, and the disk of {out} has {size_text(free)} free; make room, "
-            "keep them in half precision with --half, or ask for fewer."
+            "store them in half precision with --half, or ask for fewer."
         )
 
 

@@ -35,7 +35,7 @@ def require_parquet() -> None:
 def write_index(folder: DatasetFolder, jobs: Sequence[RunJob]) -> None:
     """Write the index, beside and moved into place.
 
-    Clips of earlier jobs files keep their rows, after those of `jobs`, as long as they are there.
+    Clips of earlier jobs files keep their rows, after those of `jobs`, while their files exist.
 
     Args:
         folder: the dataset.

@@ -40,9 +40,11 @@ def read_jobs(path: Path, most: int = MOST_CLIPS) -> tuple[Run, ...]:
             value that cannot be used.
     """
     if path.suffix.lower() == ".csv":
-        raise InputError(f"{path}: no tables are read any more; write each row as a [[clips]] section of a .toml file.")
+        raise InputError(
+            f"{path}: CSV tables are no longer read; write each row as a [[clips]] section of a .toml file."
+        )
     if path.suffix.lower() != ".toml":
-        raise InputError(f"{path} is no jobs file, whose name ends in .toml.")
+        raise InputError(f"{path} is not a jobs file; its name must end in .toml.")
     if not path.is_file():
         raise InputError(f"There is no jobs file {path}.")
     tables = read_tables(path, "a jobs file")
@@ -52,8 +54,7 @@ def read_jobs(path: Path, most: int = MOST_CLIPS) -> tuple[Run, ...]:
             raise InputError("it describes no clip; give lists in [product], or [[clips]].")
         if count > most:
             raise InputError(
-                f"it describes {count:,} clips, and {most:,} are the most that are made at once; shorten a list, or "
-                "raise --most-clips."
+                f"it describes {count:,} clips; a data set has at most {most:,}; shorten a list, or raise --most-clips."
             )
         scenes: dict[Path, Run] = {}
         # Absolute, so that a worker finds the files from wherever it runs.
@@ -70,7 +71,7 @@ def _run(number: int, entries: Mapping[str, Any], folder: Path, scenes: dict[Pat
         described = Run(**OF_BEFORE)
         if _SCENE in entries:
             if not isinstance(entries[_SCENE], str):
-                raise InputError(f"A scene is the name of a scene file, not {entries[_SCENE]!r}.")
+                raise InputError(f"scene must be the name of a scene file, not {entries[_SCENE]!r}.")
             file = folder / entries[_SCENE]
             if file not in scenes:
                 scenes[file] = Run.open(file)
@@ -88,11 +89,11 @@ def _described_clips(tables: dict[str, Any]) -> tuple[int, Iterator[dict[str, An
     lists = {name: _choices(name, value) for name, value in varied.items()}
     clip_tables = tables.get("clips", [])
     if not isinstance(clip_tables, list):
-        raise InputError("each clip is a section of its own, written [[clips]].")
+        raise InputError("each clip must be a section of its own, written [[clips]].")
     singles = [require_entries("[[clips]]", clip, _KNOWN) for clip in clip_tables]
     for name in lists:
         if name in fixed:
-            raise InputError(f"{name} stands in [fixed] and in [product]; leave it in one.")
+            raise InputError(f"{name} is in both [fixed] and [product]; keep it in one.")
     products = math.prod(len(values) for values in lists.values()) if lists else 0
 
     def clips() -> Iterator[dict[str, Any]]:
@@ -109,7 +110,7 @@ def _choices(name: str, value: Any) -> Sequence[Any]:
     """The values of an entry of the product; seeds may be a range."""
     if name == "seed" and isinstance(value, dict):
         if set(value) != {"first", "count"} or not all(is_whole(bound) for bound in value.values()):
-            raise InputError(f"seeds are a list, or {{ first = 0, count = 10 }} in whole numbers, not {value!r}.")
+            raise InputError(f"seeds must be a list, or {{ first = 0, count = 10 }} in whole numbers, not {value!r}.")
         return range(value["first"], value["first"] + value["count"])
     if not isinstance(value, list):
         raise InputError(f"{name} in [product] must be a list of values; a single one belongs in [fixed].")

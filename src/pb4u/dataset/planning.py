@@ -35,12 +35,12 @@ def plan_clips(runs: Sequence[Run], half: bool, say: Callable[[str], None]) -> t
     """The clips of the runs, each once.
 
     Args:
-        runs: what a jobs file describes.
+        runs: runs that a jobs file describes.
         half: whether trajectories are kept in half precision.
-        say: takes a sentence where runs are the same.
+        say: called with a sentence if some runs are equal.
 
     Raises:
-        InputError: a name or a file that a run needs is not there, or its model cannot be had so.
+        InputError: a name or a file that a run needs does not exist, or its model does not support the options.
     """
     planner, jobs = JobPlanner(), []
     for number, run in enumerate(runs, start=1):

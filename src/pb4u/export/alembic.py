@@ -36,16 +36,15 @@ def check_alembic(path: Path) -> None:
 
 
 def write_alembic(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:
-    """Write one Ogawa archive: /Garment and /Body; metres, Y up, a sample each 1 / fps seconds from 0.
+    """Write one Ogawa archive: /Garment and /Body; metres, Y up, one sample every 1 / fps seconds from 0.
 
     Each garment and the body is a transform that is the identity, with one mesh below it: /Garment/GarmentShape. Maya
-    shows no mesh that lies at the top, and takes a transform with several for one object.
-    A garment of several fabrics has a face set for each.
-    Points and vertex normals are sampled at every frame; the author's polygons stay polygons, wound clockwise as
-    Alembic has them; UVs are face-varying, one a corner.
+    does not show a mesh at the top level, and treats a transform with several meshes as one object. A garment of
+    several fabrics has a face set for each. Points and vertex normals are sampled at every frame; the author's polygons
+    stay polygons, wound clockwise as Alembic has them; UVs are face-varying, one a corner.
 
     Args:
-        trajectory: what is written, every frame finite.
+        trajectory: to write, with finite frames only.
         path: file to write.
         progress: called with the frames written.
 

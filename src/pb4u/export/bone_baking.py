@@ -51,7 +51,7 @@ def bake_bones(positions: np.ndarray, bones: int, progress: Progress = no_progre
 
     Args:
         positions: (frames, vertices, 3) [m], finite.
-        bones: how many; fewer where there are fewer vertices.
+        bones: number of bones; fewer if there are fewer vertices.
         progress: called after each round.
     """
     paths = np.asarray(positions, dtype=np.float64)

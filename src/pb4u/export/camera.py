@@ -29,7 +29,7 @@ class Camera:
     """A camera that follows the figure of a trajectory.
 
     Args:
-        trajectory: what is drawn.
+        trajectory: to draw.
         view: the angles that it is seen from, and the size of the picture.
         frames: numbers of the frames that will be drawn.
 
@@ -81,7 +81,7 @@ class Camera:
         return self._feet[t]
 
     def target(self, t: int) -> np.ndarray:
-        """(3,) point [m] that it looks at: halfway between what reaches farthest to both sides.
+        """(3,) point [m] that it looks at: halfway between the leftmost and the rightmost point.
 
         Args:
             t: number of the frame.

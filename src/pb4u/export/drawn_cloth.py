@@ -17,11 +17,11 @@ class DrawnCloth:
 
     Args:
         header: of the trajectory.
-        coarse: triangles of a garment from which on it is drawn as it is.
+        coarse: number of triangles from which on a garment is drawn without subdivision.
 
     Attributes:
         faces: (drawn faces, 3) int64.
-        parent: (drawn faces,) int64 the face of the trajectory that each is a piece of.
+        parent: (drawn faces,) int64 the face of the trajectory that contains each.
         uv_faces: (drawn faces, 3) int64 UV points of each, or None.
     """
 
@@ -40,7 +40,7 @@ class DrawnCloth:
             self.uv_faces = self._flat.faces
 
     def uvs(self, values: np.ndarray | None) -> np.ndarray | None:
-        """Values (drawn UV points, 2) from those of the UV points, in straight lines; None without.
+        """Values (drawn UV points, 2) interpolated linearly from those of the UV points; None without UVs.
 
         Args:
             values: (uv points, 2), or None.
@@ -56,7 +56,7 @@ class DrawnCloth:
         return np.asarray(self._weights @ positions)
 
     def lines(self, lines: SewingLines) -> SewingLines:
-        """The same lines on the drawn surface, cut where they cross its edges.
+        """The sewing lines on the drawn surface, divided where they cross its edges.
 
         Args:
             lines: on the trajectory's own.

@@ -14,14 +14,14 @@ HELD_FRAMES = "held_frames"
 
 
 def hold_finite(trajectory: Trajectory) -> Trajectory:
-    """The trajectory with each frame that holds NaN or infinity replaced by the last whole frame before it.
+    """The trajectory with each frame that has NaN or infinite values replaced by the last finite frame before it.
 
     No scene format has a place for NaN: tools drop the mesh or crash. The frames concerned are named in an
-    InputWarning and under `held_frames` in the metadata, from which writers mark them. Frames before the first
-    whole one repeat that one.
+    InputWarning and under `held_frames` in the metadata, from which writers mark them. Frames before the first finite
+    one repeat it.
 
     Args:
-        trajectory: as it was simulated.
+        trajectory: as simulated.
 
     Raises:
         InputError: no frame is whole.
@@ -34,8 +34,8 @@ def hold_finite(trajectory: Trajectory) -> Trajectory:
         raise InputError("No frame of the trajectory is finite, so there is nothing to write; simulate it again.")
     gaps = np.flatnonzero(~(finite & body_whole)).tolist()
     warn(
-        f"{len(gaps)} of {len(finite)} frames are not finite ({spans(gaps)}); each is written as the last whole frame "
-        "before it, and marked where the format allows.",
+        f"{len(gaps)} of {len(finite)} frames are not finite ({spans(gaps)}); each is replaced by the last finite "
+        "frame before it, and marked where the format allows.",
     )
     return replace(
         trajectory,

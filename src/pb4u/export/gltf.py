@@ -53,15 +53,15 @@ def write_glb(
 ) -> str | None:
     """Write one GLB file; vertices keep their order, copies with a second UV at a seam follow after the last.
 
-    The frames that `hold_finite` replaced are listed in the `extras` of the asset. An InputWarning says where
-    256 targets do not reach a millimetre.
+    The frames that `hold_finite` replaced are listed in the `extras` of the asset. An InputWarning says if 256 targets
+    leave an error above a millimetre.
 
     Args:
-        trajectory: what is written, every frame finite.
+        trajectory: to write, with finite frames only.
         path: file to write.
         progress: called after each pass over the frames.
         body: whether the body is written as well.
-        bones: of each surface, in the place of its morph targets: what game engines play.
+        bones: number of bones of each surface, used instead of morph targets because game engines play bones.
 
     Returns:
         How far off bones leave the garment, as a predicate without its subject; None without them.
@@ -196,7 +196,7 @@ class _Document(GltfDocument):
         return attributes
 
     def _panels(self, panels: SewnPanels, of_vertex: np.ndarray, corners: np.ndarray) -> int:
-        """The panel of each written vertex, a corner of faces `corners` (faces, 3); -1 of none."""
+        """The panel of each written vertex, a corner of faces `corners` (faces, 3); -1 for none."""
         of_written = np.full(len(of_vertex), -1.0, dtype="<f4")
         of_written[corners] = panels.of_face[:, None]
         return self.add(of_written, "SCALAR", FLOAT, ARRAY_BUFFER)

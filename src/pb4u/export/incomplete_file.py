@@ -9,13 +9,13 @@ from pb4u.errors import InputError
 
 
 def incomplete(path: Path) -> InputError:
-    """The refusal of a file that a library left unfinished without a usable reason, mostly on a full disk.
+    """Error for a file that a library left incomplete without a usable reason, mostly on a full disk.
 
     Args:
         path: the file, where it was being written.
     """
     free = shutil.disk_usage(path.parent).free
     return InputError(
-        f"Cannot write {path.name}: it came out incomplete, as on a disk that is full or limited; {free / 1e6:,.1f} MB "
+        f"Cannot write {path.name}: the file is incomplete, as on a disk that is full or limited; {free / 1e6:,.1f} MB "
         "are free there."
     )

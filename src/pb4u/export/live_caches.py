@@ -32,7 +32,7 @@ def check_live_folder(folder: Path) -> None:
     """Refuse a folder that holds anything but the frames of an earlier run; called before any work is done.
 
     Args:
-        folder: to write to; it is made where it is absent.
+        folder: to write to; it is created if absent.
 
     Raises:
         InputError: it is a file, it cannot be made or written to, or it holds something else.
@@ -50,10 +50,10 @@ def check_live_folder(folder: Path) -> None:
 
 
 class LiveCaches:
-    """Point caches of a run's garments that grow with it.
+    """Point caches of a run's garments that grow during the run.
 
     Args:
-        folder: where they are written; the caches of an earlier run there are replaced.
+        folder: to write to; the caches of an earlier run there are replaced.
         header: of the trajectory that is computed.
         fps: frames per second that are written [1/s]; other than the header's, frames are interpolated as they arrive.
         frames: most frames to write; None for all.
@@ -89,13 +89,13 @@ class LiveCaches:
         self._folder = folder
 
     def append(self, frame: Frame) -> None:
-        """Take a computed frame, and write the frames that can be interpolated from what has come.
+        """Accept a computed frame, and write the frames that can be interpolated from the frames so far.
 
         Args:
             frame: the next one.
 
         Raises:
-            InputError: the disk takes no more.
+            InputError: the disk is full.
         """
         self._arrived.append(frame.positions)
         frames = self._dropped + len(self._arrived)

@@ -49,13 +49,13 @@ def later_frame_files(path: Path, frames: int) -> tuple[Path, ...]:
 
 
 def check_frames(path: Path) -> None:
-    """Refuse an OBJ sequence whose frames could overwrite meshes that were not written here.
+    """Refuse an OBJ sequence whose frames could overwrite meshes that pb4u did not write.
 
     Args:
         path: name that the files are derived from.
 
     Raises:
-        InputError: such a mesh lies there.
+        InputError: such a mesh exists there.
     """
     for mesh, _ in _numbered(path):
         if not is_own(mesh):
@@ -97,7 +97,7 @@ def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress = 
     fabrics names the fabric of its faces (`usemtl`).
 
     Args:
-        trajectory: what is written, every frame finite.
+        trajectory: to write, with finite frames only.
         path: name that the files are derived from, see `frame_files`.
         progress: called with the frames written.
     """
@@ -116,13 +116,13 @@ def cache_files(path: Path, _frames: int) -> tuple[Path, ...]:
 
 
 def check_companion(path: Path) -> None:
-    """Refuse a point cache whose OBJ would overwrite a mesh that was not written here.
+    """Refuse a point cache whose OBJ would overwrite a mesh that pb4u did not write.
 
     Args:
         path: the cache.
 
     Raises:
-        InputError: such a mesh lies beside it.
+        InputError: such a mesh exists beside it.
     """
     mesh = path.with_suffix(".obj")
     if mesh.exists() and not is_own(mesh):
@@ -137,7 +137,7 @@ def write_pc2(trajectory: Trajectory, path: Path, progress: Progress = no_progre
     """Write PC2, little-endian: header (magic, version 1, points, first frame, sampling 1, samples), then the vertices.
 
     Args:
-        trajectory: what is written, every frame finite.
+        trajectory: to write, with finite frames only.
         path: file to write; its OBJ goes beside it.
         progress: called with the frames written.
     """
@@ -149,7 +149,7 @@ def write_mdd(trajectory: Trajectory, path: Path, progress: Progress = no_progre
     """Write MDD (LightWave), big-endian: samples, points, the time of each sample [s], then the vertices.
 
     Args:
-        trajectory: what is written, every frame finite.
+        trajectory: to write, with finite frames only.
         path: file to write; its OBJ goes beside it.
         progress: called with the frames written.
     """

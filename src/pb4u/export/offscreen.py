@@ -53,10 +53,10 @@ assert picture.GetOutput().GetScalarRange()[1] > 100
 
 
 def choose_opengl() -> None:
-    """Set the environment of this process so that VTK draws off screen, if it does not as it is.
+    """Set the environment of this process so that VTK draws off screen, unless it already does.
 
     Raises:
-        Pb4uError: nothing that is here draws.
+        Pb4uError: this machine has no off-screen renderer.
     """
     settings = tuple(sorted((name, value) for name, value in os.environ.items() if name.startswith(_TOLD)))
     chosen = _working(settings)

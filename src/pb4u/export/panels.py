@@ -29,7 +29,7 @@ class SewnPanels:
         """Panels of the garments of a trajectory; None where no garment was sewn of a pattern.
 
         Args:
-            header: of what is written.
+            header: of the trajectory to write.
         """
         if header.uv_faces is None or header.polygons is not None:
             return None
@@ -49,7 +49,7 @@ class SewnPanels:
 
 
 def seam_edges(faces: np.ndarray, uv_faces: np.ndarray) -> np.ndarray:
-    """Edges (edges, 2) int64 whose two faces have other UV points there.
+    """Edges (edges, 2) int64 at which the two faces have different UV points.
 
     Args:
         faces: (faces, 3) int64 vertices.

@@ -28,7 +28,7 @@ def write_still(trajectory: Trajectory, path: Path, progress: Progress = no_prog
     """Write a PNG or JPEG strip of five moments side by side, spread evenly over the clip.
 
     Args:
-        trajectory: what is drawn.
+        trajectory: to draw.
         path: file to write; its suffix decides the format.
         progress: called with the moments drawn.
         view: camera, size and colours.
@@ -52,7 +52,7 @@ def write_gif(
     """Write an endlessly looping GIF.
 
     Args:
-        trajectory: what is drawn.
+        trajectory: to draw.
         path: file to write.
         progress: called with the frames drawn.
         view: camera, size and colours.
@@ -67,7 +67,7 @@ def write_gif(
 def _require_playable(fps: float) -> None:
     """Refuse a film of a rate that encoders do not hold, before it is drawn."""
     if fps < _SLOWEST:
-        raise InputError(f"A film has {_SLOWEST:g} frames per second or more, not {fps:g}; write an .npz.")
+        raise InputError(f"A video must have {_SLOWEST:g} frames per second or more, not {fps:g}; write an .npz.")
 
 
 def save_gif(pictures: Iterable[np.ndarray], path: Path, fps: float) -> None:
@@ -95,7 +95,7 @@ def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = no_progre
     """Write an MP4 at the trajectory's own frame rate: H.264 where an encoder of this machine makes it, or VP9.
 
     Args:
-        trajectory: what is drawn.
+        trajectory: to draw.
         path: file to write.
         progress: called with the frames drawn.
         view: camera, size and colours.

@@ -19,8 +19,8 @@ class Piece:
 
     Args:
         name: of the garment; no two of a trajectory have the same.
-        vertices: those of the trajectory that are its own.
-        faces: (faces,) int64 those of the trajectory that are its own.
+        vertices: its vertices in the trajectory.
+        faces: (faces,) int64 its faces in the trajectory.
         header: of a trajectory of this garment alone, without the author's other mesh.
     """
 
@@ -30,7 +30,7 @@ class Piece:
     header: TrajectoryHeader
 
     def looks(self, parts: Sequence[ClothPart]) -> list[ClothPart]:
-        """The parts that are of this garment, their faces counted in its own.
+        """The parts of this garment, with faces numbered within the garment.
 
         Args:
             parts: of the trajectory, each of one garment.
@@ -78,8 +78,8 @@ def names_apart(names: Sequence[str], between: str) -> list[str]:
     """The names made unique: a repeated one gets the first free number.
 
     Args:
-        names: some of them perhaps equal.
-        between: what stands before a number.
+        names: some may be equal.
+        between: text before the number.
     """
     apart: list[str] = []
     for name in names:

@@ -26,16 +26,17 @@ class Format:
     Args:
         suffixes: of the file names, in lower case.
         description: one sentence for the command line, without its full stop.
-        writer: called with the trajectory, the path and the progress to call; it may write more than
-            one file, all of them in the folder of the path, and may return what a user should know of them.
+        writer: called with the trajectory, the path and the progress to call; it may write more than one file, all in
+            the folder of the path, and may return a note for the user.
         check: called with the path before any work is done; raises where the format cannot be written there.
         files: called with the path and the number of frames; the files written, where that is more than the path.
-        stale: called with the path and the number of frames; files of a longer one before it, deleted once it is there.
+        stale: called with the path and the number of frames; gives the surplus files of a longer sequence written
+            before, to be deleted after the export.
         coloured: whether it shows images and colours of garments; where a remeshing has lost them, the author's own
             mesh is written.
-        finite: whether frames that are not finite are held first (`finite_frames`).
+        finite: whether frames that are not finite are replaced first (`finite_frames`).
         drawn: whether it shows pictures; the writer takes a `view` then.
-        side_multiple: what the sides of its pictures are a multiple of [pixels].
+        side_multiple: number of which width and height of its pictures must be multiples [pixels].
     """
 
     suffixes: tuple[str, ...]
@@ -138,9 +139,9 @@ def check_target(path: Path) -> None:
     if form is None:
         if path.suffix.lower() in (".fbx", ".blend", ".ma", ".mb", ".max", ".c4d", ".uasset", ".hip"):
             programs = "for Blender, Maya, Unreal or Houdini write .usdc, .abc or .glb"
-            raise InputError(f"{path.suffix} is a program's own format and is not written; {programs}.")
+            raise InputError(f"{path.suffix} is the private format of a program and is not written; {programs}.")
         what = f"{path.suffix} is not a format that is written" if path.suffix else f"{path} has no suffix"
-        raise InputError(f"{what}; end the name of the file in one of {', '.join(WRITERS)}.")
+        raise InputError(f"{what}; give the file one of the suffixes {', '.join(WRITERS)}.")
     check_writable(path)
     if form.check:
         _function(form.check)(path)
@@ -158,7 +159,7 @@ def written_files(path: Path, frames: int) -> tuple[Path, ...]:
 
 
 def would_overwrite(path: Path, file: Path) -> bool:
-    """Whether writing `path` replaces, or joins, what is read from `file`, a file or a folder of frames.
+    """Whether writing `path` replaces the input `file`, or adds to it if it is a folder of frames.
 
     Args:
         path: file to write, of a suffix in `WRITERS`.
@@ -179,7 +180,7 @@ _COUNTED_FRAMES = 3
 
 
 def is_same_file(one: Path, other: Path) -> bool:
-    """Whether two paths are of one file, be it there already or not.
+    """Whether two paths name the same file, whether or not it exists.
 
     Args:
         one: a path.
@@ -205,29 +206,30 @@ def check_view(path: Path, view: View) -> None:
         view: camera, size and colours.
 
     Raises:
-        InputError: nothing is drawn there, or its pictures cannot have that size.
+        InputError: the file has no pictures, or they cannot have that size.
     """
     form = WRITERS[path.suffix.lower()]
     if not form.drawn:
         drawn = ", ".join(suffix for suffix, other in WRITERS.items() if other.drawn)
-        raise InputError(f"{path.suffix} holds no picture; a view is for {drawn}.")
+        raise InputError(f"{path.suffix} is not a picture; options of the view are for {drawn}.")
     n = form.side_multiple
     if view.width % n or view.height % n:
         raise InputError(
-            f"The sides of {path.suffix} are multiples of {n} pixels, and {view.width}x{view.height} are not; take "
+            f"Width and height of a {path.suffix} must be multiples of {n} pixels, and {view.width}x{view.height} are "
+            "not; take "
             f"{view.width + view.width % n}x{view.height + view.height % n}."
         )
 
 
 def check_bones(path: Path, bones: int) -> None:
-    """Refuse bones where none are written.
+    """Refuse a number of bones for a format without bones.
 
     Args:
         path: file to write.
         bones: how many of each surface.
 
     Raises:
-        InputError: the file is no GLB, or the number is out of range.
+        InputError: the file is not a GLB, or the number is out of range.
     """
     from pb4u.export.bone_baking import MOST_BONES
 
@@ -248,13 +250,13 @@ def export(
     """Write a trajectory in the format its suffix names; files appear when they are complete, or not at all.
 
     Args:
-        trajectory: frames that are not finite are held (`finite_frames`), except in .npz, which keeps what was
-            simulated.
+        trajectory: frames that are not finite are replaced (`finite_frames`), except in .npz, which keeps the simulated
+            values.
         path: file to write.
-        progress: called with what is done.
+        progress: called with the number of finished parts.
         view: camera, size and colours of pictures.
-        say: called with a sentence where there is more to know of what was written, as a video's codec.
-        bones: of each surface of a GLB, in the place of morph targets; None for those.
+        say: called with a sentence on details of the written file, such as a video's codec.
+        bones: number of bones of each surface of a GLB; None for morph targets.
 
     Raises:
         InputError: the target cannot be written, or not with this view.
@@ -293,7 +295,7 @@ def write_npz(trajectory: Trajectory, path: Path, progress: Progress) -> None:
     """Write the trajectory as it is, in one step.
 
     Args:
-        trajectory: what is written.
+        trajectory: to write.
         path: file to write.
         progress: not called.
     """

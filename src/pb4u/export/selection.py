@@ -21,10 +21,10 @@ _ALL = slice(None)
 
 
 class LazyFrames:
-    """Takes the place of an array (frames, vertices, 3) float32 and computes the parts that are read.
+    """Behaves like an array (frames, vertices, 3) float32, but computes only the parts that are read.
 
-    `frames[t]`, `frames[a:b]`, `frames[:, vertices]` and iteration compute that part only;
-    any other use goes through a full array.
+    `frames[t]`, `frames[a:b]`, `frames[:, vertices]` and iteration compute only that part; any other use computes the
+    full array.
 
     Args:
         frames: how many there are.
@@ -39,7 +39,7 @@ class LazyFrames:
         self._compute = compute
 
     def as_array(self) -> np.ndarray:
-        """Itself, typed as the array (frames, vertices, 3) float32 [m] that it stands for."""
+        """This object, typed as an array (frames, vertices, 3) float32 [m]."""
         return cast(np.ndarray, self)
 
     def __len__(self) -> int:
@@ -81,14 +81,14 @@ def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: i
     if first >= min(last, trajectory.frame_count):
         raise InputError(f"The trajectory has frames 0 to {trajectory.frame_count - 1}; none lies in the range.")
     if every > 1 and last - first > 1 and every >= last - first:
-        raise InputError(f"Every {every}th of {last - first} frames is one frame; give a smaller stride.")
+        raise InputError(f"Every {every}th of {last - first} frames is a single frame; give a smaller stride.")
     if span is not None and span[1] > last:
-        warn(f"The trajectory has {last} frames; of the range {first}:{span[1]}, {first}:{last} is there.")
+        warn(f"The trajectory has {last} frames; of the range {first}:{span[1]}, only {first}:{last} exists.")
     return trajectory.with_frames(lambda values: values[frames], trajectory.fps / every)
 
 
 def looks_are_on_source(header: TrajectoryHeader) -> bool:
-    """Whether a garment has its colours and images on the author's mesh alone, as one that was remeshed.
+    """Whether a garment has its colours and images only on the author's mesh, as after remeshing.
 
     Args:
         header: of the trajectory.

@@ -81,7 +81,7 @@ class SewingLines(NamedTuple):
 
         Args:
             header: of the surface, with UVs.
-            part: the faces that are drawn on.
+            part: the faces to draw on.
         """
         from PIL import Image, ImageDraw
 

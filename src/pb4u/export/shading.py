@@ -33,7 +33,7 @@ class Look(NamedTuple):
 
     Args:
         colour: sRGB [0 to 1].
-        threads: how they run, one of `pb4u.export.threads.THREADS`; "" where none are seen.
+        threads: pattern of the threads, one of `pb4u.export.threads.THREADS`; "" if they are not visible.
         gloss: share of the light that it mirrors [1].
     """
 
@@ -113,11 +113,12 @@ def _is_of(numbers: Mapping[str, Any], material: Material) -> bool:
 
 
 def garment_colours(fabrics: Sequence[str], chosen: Sequence[Colour] = ()) -> list[Colour]:
-    """Colours of the garments, sRGB [0 to 1]: the chosen ones, or that of what it is made of while no other has it.
+    """Colours of the garments, sRGB [0 to 1]: the chosen ones, else that of its material unless another garment has
+    this colour.
 
     Args:
         fabrics: name of the material of each garment.
-        chosen: colours of the first ones.
+        chosen: colours of the first garments.
     """
     colours: list[Colour] = []
     for number, name in enumerate(fabrics):
@@ -137,7 +138,7 @@ class ClothPart:
         faces: (n,) int64 indices of its faces.
         colour: sRGB [0 to 1]; multiplies the image.
         image: content of a PNG or JPEG file that the UVs lay on, or None.
-        fabric: how its material looks, in whatever colour.
+        fabric: how its material looks, apart from the colour.
     """
 
     name: str
@@ -148,11 +149,11 @@ class ClothPart:
 
 
 def cloth_parts(header: TrajectoryHeader, chosen: Sequence[Colour] = ()) -> list[ClothPart]:
-    """The garments of a trajectory, each in its colour or in those and the images that its author gave.
+    """The garments of a trajectory, each in its colour, or in the colours and images of its author.
 
     Args:
         header: of the trajectory.
-        chosen: colours of the first garments, which take the place of all that their authors gave.
+        chosen: colours of the first garments, which replace the colours and images of their authors.
     """
     owner, looks = np.asarray(header.vertex_garment)[header.faces[:, 0]], header.appearances
     count, fabrics = int(owner.max(initial=0)) + 1, fabric_names(header)

@@ -28,8 +28,8 @@ class ShapeBasis:
         shapes: (shapes, vertices, 3) float32 offsets [m].
         start_normals: (vertices, 3) float32 unit normals of the first frame.
         normal_shapes: (shapes, vertices, 3) float32 offsets of the normals for the same weights, by least squares.
-        weights: (frames, shapes) float32 in [0, 1], outside of which Blender cuts them off; the first shape, whose
-            weight is always 1, gathers what the others lack for that.
+        weights: (frames, shapes) float32 in [0, 1], since Blender clamps weights to this range; the first shape, whose
+            weight is always 1, contains the offset needed for that.
         error: largest distance [m] of any vertex in any frame from where it should be.
     """
 
@@ -47,7 +47,7 @@ def fit_shapes(
     """The shortest basis that keeps every vertex of every frame within `tolerance` [m], of at most `most` shapes.
 
     Principal components of an animation: Alexa and Mueller, "Representing animations by principal components",
-    2000. Only a block of vertices, or one frame, is held beside the basis itself.
+    2000. Besides the basis only a block of vertices or one frame is in memory.
 
     Args:
         positions: (frames, vertices, 3) [m], finite.

@@ -44,9 +44,9 @@ class StillRenderer:
     """Renderer of single frames: a lit scene with garment and body, whose positions are replaced frame by frame.
 
     Args:
-        trajectory: what is drawn.
+        trajectory: to draw.
         view: camera, size and colours.
-        frames: numbers of the frames that will be drawn; the camera stands so that the figure is whole in each.
+        frames: numbers of the frames that will be drawn; the camera is placed so that each shows the whole figure.
     """
 
     def __init__(self, trajectory: Trajectory, view: View, frames: Sequence[int]) -> None:
@@ -293,7 +293,7 @@ def render(trajectory: Trajectory, frames: Sequence[int], view: View | None = No
     """Pictures of the given frames, one after the other, each (height, width, 3) uint8 sRGB [0 to 255].
 
     Args:
-        trajectory: what is drawn.
+        trajectory: to draw.
         frames: numbers of the frames.
         view: camera, size and colours.
 

@@ -25,7 +25,7 @@ class Swatch(NamedTuple):
 
     Args:
         draped: one frame of cloth without a body.
-        lines: what is written below it, two lines at most.
+        lines: text below it, two lines at most.
     """
 
     draped: Trajectory

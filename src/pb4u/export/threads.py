@@ -29,8 +29,8 @@ class Threads(NamedTuple):
         uneven: spread of the shades along the warp and along the weft [1].
         length: over which a thread keeps its shade [m].
         undyed: whether the weft is.
-        wale: loops from a rib of a knit to the next; 0 for what is woven.
-        rib: how much lighter its ribs are than what lies between [1].
+        wale: number of loops from one rib of a knit to the next; 0 for woven cloth.
+        rib: how much lighter its ribs are than the gaps between them [1].
     """
 
     draft: tuple[str, ...]
@@ -95,8 +95,8 @@ def _shades(rng: np.random.Generator, length: float, axis: int) -> np.ndarray:
 def uvs_in_metres(header: TrajectoryHeader) -> np.ndarray | None:
     """UV coordinates (uv points, 2) float64 [m] along weft and warp, each island scaled and turned; None without UVs.
 
-    The warp runs as panels were cut, or else upward in what is worn at rest. Islands of no area in UV space become a
-    point.
+    The warp runs as the panels were cut, or else upward in the garment worn at rest. Islands of no area in UV space
+    become a point.
 
     Args:
         header: of the surface.

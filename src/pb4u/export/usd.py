@@ -41,7 +41,7 @@ def check_usd(path: Path) -> None:
 
     Raises:
         MissingExtraError: the "usd" extra is not installed.
-        InputError: images of such names lie there, and no USD that they could be of.
+        InputError: images of such names exist there without a USD file that they could belong to.
     """
     with extra("usd", f"Writing {path.suffix}"):
         import pxr.Usd  # noqa: F401
@@ -62,7 +62,7 @@ def write_usd(trajectory: Trajectory, path: Path, progress: Progress = no_progre
     that `hold_finite` replaced are listed in the custom layer data.
 
     Args:
-        trajectory: what is written, every frame finite.
+        trajectory: to write, with finite frames only.
         path: file to write: .usdc (binary), .usda (text) or .usdz (a package of one .usdc).
         progress: called with the frames written.
 

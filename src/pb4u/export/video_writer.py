@@ -29,7 +29,7 @@ class VideoWriter(ABC):
     """Writes pictures (height, width, 3) uint8 sRGB into a video; closes it as a context manager.
 
     Attributes:
-        codec: what the video is in, for the user.
+        codec: name of the video's codec, for the user.
     """
 
     codec: str

@@ -28,9 +28,9 @@ class View:
         elevation: angle above the horizontal [deg], 0 to 90, where the ground is seen from above.
         turntable: turn of the camera about the vertical over the whole clip [deg].
         show_body: whether the body is drawn.
-        cloths: colours of the garments, the first one's first; those beyond have their usual ones.
+        cloths: colours of the garments in order; further garments have their default colour.
         weave: whether the threads of the cloth are drawn where it has UVs.
-        background: colour behind and below it all, sRGB [0 to 1].
+        background: colour of background and ground, sRGB [0 to 1].
 
     Raises:
         InputError: a size or an angle is out of range.
@@ -49,11 +49,14 @@ class View:
     def __post_init__(self) -> None:
         if not all(LEAST_SIDE <= side <= MOST_SIDE for side in (self.width, self.height)):
             raise InputError(
-                f"A picture has {LEAST_SIDE} to {MOST_SIDE} pixels on each side, not {self.width} x {self.height}."
+                f"A picture must have {LEAST_SIDE} to {MOST_SIDE} pixels on each side, not {self.width} x "
+                f"{self.height}."
             )
         if not (math.isfinite(self.azimuth) and math.isfinite(self.turntable)):
-            raise InputError(f"Angles of the camera are finite, not {self.azimuth:g} and {self.turntable:g} degrees.")
+            raise InputError(
+                f"Angles of the camera must be finite, not {self.azimuth:g} and {self.turntable:g} degrees."
+            )
         if not 0.0 <= self.elevation <= HIGHEST_ELEVATION:
             raise InputError(
-                f"The camera stands 0 to {HIGHEST_ELEVATION:g} degrees above the ground, not {self.elevation:g}."
+                f"The elevation of the camera must be 0 to {HIGHEST_ELEVATION:g} degrees, not {self.elevation:g}."
             )

@@ -30,7 +30,7 @@ def arcsim_fields(record: Mapping[str, Any], path: Path) -> dict[str, Any]:
     0, 22.5, 45, 67.5 and 90 degrees. As its code computes, the moduli are twice the first row, nothing below zero, and
     the shear is its fourth number. Threads stiffen so that the force at the second stretch is that of the later rows,
     in the mean of both threads. `bending` holds coefficients of hinges [J] with edges along the weft, at 45 degrees and
-    along the warp, at five curvatures, whose mean is taken.
+    along the warp, at five curvatures, which are averaged.
 
     Args:
         record: the object of the file.

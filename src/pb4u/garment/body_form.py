@@ -30,7 +30,7 @@ _STEP = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """A chain of three joints on one side, +1 for the body's left (+X), and the bones that hang on it.
+    """A chain of three joints on one side, +1 for the body's left (+X), and their descendants.
 
     Args:
         side: +1 or -1.
@@ -45,7 +45,7 @@ class Limb:
     tip: np.ndarray
 
     def along(self, fraction: float) -> np.ndarray:
-        """Point (3,) [m] at a fraction of the way: 0 first joint, 1 second, 2 third.
+        """Point (3,) [m] along the limb: 0 first joint, 1 second, 2 third.
 
         Args:
             fraction: 0 to 2.
@@ -142,7 +142,8 @@ class BodyForm:
         trunk = shoulders - hips
         if trunk[1] < 0.7 * np.linalg.norm(trunk):
             raise InputError(
-                f'The built-in garments are cut for a body that stands, and "{body.name}" lies or bends at rest; turn '
+                f'The built-in garments are cut for a standing body, and "{body.name}" lies or bends in its rest '
+                "pose; turn "
                 "its file so that Y is up, or give a garment file instead."
             )
         self.scale = body.height / 1.75
@@ -195,7 +196,7 @@ class BodyForm:
         return np.concatenate(points), np.concatenate(normal), np.concatenate(owner)
 
     def sections(self, skin: np.ndarray, centre_x: float | None = 0.0) -> Sections:
-        """Hulls of the horizontal slices of some skin; a level covers the slices next to it too.
+        """Hulls of the horizontal slices of some skin; each level includes its neighbouring slices.
 
         Args:
             skin: (vertices,) bool.
@@ -247,7 +248,7 @@ class BodyForm:
 
     @cached_property
     def neck_half_width(self) -> float:
-        """Half the width [m] of the neck at its base, or above the shoulders where strong ones rise beside it."""
+        """Half the width [m] of the neck at its base, or higher up where strong shoulders rise beside it."""
         points, _, owner = self.samples
         inner = points[(np.abs(points[:, 0]) < 0.12 * self.scale) & ~self.arm_skin[owner]]
 
@@ -260,7 +261,7 @@ class BodyForm:
 
     @cached_property
     def shoulder_slope(self) -> float:
-        """Angle [rad] by which the tops of the shoulders fall where straps lie, from half the way to the joint on."""
+        """Angle [rad] by which the tops of the shoulders slope under straps, from halfway to the joint onwards."""
         points, _, owner = self.samples
         width = self.shoulder_half_width
         skin = points[~self.head[owner] & (points[:, 1] > self.armpit)]
@@ -291,7 +292,7 @@ class BodyForm:
 
 
 def form_of(body: ShapedBody) -> BodyForm:
-    """The form of a body, made once and kept with it.
+    """The form of a body, computed once and stored with it.
 
     Args:
         body: the resting body.
@@ -319,7 +320,7 @@ def _bone_names(body: ShapedBody) -> tuple[dict[str, str], tuple[str, str]]:
             return names, sides
     raise InputError(
         f'The built-in garments cannot be fitted to body "{body.name}" (family "{body.family}"): its skeleton lacks '
-        f"the named shoulder, elbow, wrist, hip, knee, ankle and neck joints; give a garment file instead."
+        "the named shoulder, elbow, wrist, hip, knee, ankle and neck joints; give a garment file instead."
     )
 
 

@@ -26,10 +26,10 @@ _BORDERS, _VOLUME = 0.25, 0.4
 def body_faces(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> np.ndarray:
     """Mask (faces,) bool of the pieces of a garment that are a body.
 
-    From head to foot they lie on their wearer's skin, or they are as high and have the volume of a body and no opening.
+    They lie on the wearer's skin from head to foot, or have the height and volume of a body and no opening.
 
     Args:
-        vertices: (vertices, 3) of the garment [m], in whatever unit and place.
+        vertices: (vertices, 3) of the garment, in any unit and place.
         faces: (faces, 3) int64.
         body: the resting body.
     """

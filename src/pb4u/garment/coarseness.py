@@ -51,12 +51,12 @@ class Coarseness:
 
     @classmethod
     def of(cls, vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Coarseness:
-        """Coarseness of a garment where it is worn at rest.
+        """Coarseness of a garment worn at rest.
 
         Args:
             vertices: (vertices, 3) [m].
             faces: (faces, 3) int64.
-            body: who wears it.
+            body: the body that wears it.
         """
         edges = Topology(faces, len(vertices)).edges
         if not len(edges):
@@ -84,5 +84,6 @@ class Coarseness:
 
     @property
     def enough(self) -> int:
-        """Number of triangles to ask for: a span goes with the length of edges, the root of the area of a triangle."""
+        """Number of triangles to ask for: the angle is proportional to the edge length, the square root of a triangle's
+        area."""
         return 100 * math.ceil(self.triangles * (self.degrees / _ASKED_DEGREES) ** 2 / 100.0)

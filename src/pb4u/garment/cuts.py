@@ -27,13 +27,13 @@ class Neckline:
 
 @dataclass(frozen=True)
 class Bands:
-    """What is sewn along the borders of a cut, by the names of its bands, which `parts` finds.
+    """Bands sewn along the borders of a cut, by name; `parts` finds them.
 
     Args:
         layers: of cloth.
-        fabrics: names of `FABRICS`, of what is made of another cloth than the rest.
+        fabrics: names of `FABRICS`, for bands of another cloth than the rest.
         elastic: rest length along the border over that of the cloth.
-        widths: of the bands that have another than their usual one [m].
+        widths: of bands that differ from the default width [m].
     """
 
     layers: Mapping[str, int] = field(default_factory=dict, hash=False)
@@ -52,16 +52,17 @@ class Cut:
         fabric: that it wears unless a run names another, of `FABRICS`.
         hem_offset: how far above that height it ends [m].
         ease: slack of the torso part at chest (or waist), waist, hip and hem [m].
-        taper: how much it may draw in per metre going down, above and below the waist [m/m]; negative: must flare.
+        taper: largest decrease of the radius per metre downwards, above and below the waist [m/m]; negative: it must
+            flare.
         neckline: of a garment that hangs from the shoulders.
-        sleeve: place along the arm where the sleeve ends (1 elbow, 2 wrist); 0 for none.
+        sleeve: position along the arm where the sleeve ends (1 elbow, 2 wrist); 0 for none.
         sleeve_ease: slack at the shoulder and at the cuff [m].
         armhole_depth: how far below the armpit an armhole of a sleeveless garment reaches [m].
         strap: width of the part that lies on the shoulder of a sleeveless garment [m].
         front_gap: width of the opening in front [m]; 0 for none.
         legs: whether each leg has a tube of its own.
         loose: whether it hangs far from the nearest limb.
-        bands: what is sewn along its borders where it is cut flat.
+        bands: bands along its borders if it is cut flat.
     """
 
     top: str
@@ -82,10 +83,10 @@ class Cut:
 
     @property
     def pins(self) -> str:
-        """What follows the body, a name that `resolve_pins` takes: a waistband, or the collar of an open front.
+        """Name of the pinned vertices, as `resolve_pins` takes it: a waistband, or the collar of an open front.
 
-        With nothing that closes it, cloth slides off shoulders that fall by 20 degrees, where closed cloth stays. What
-        is cut flat has elastic in the place of such a waistband.
+        An open front slides off shoulders that slope by 20 degrees, where closed cloth stays. Garments that are cut
+        flat have elastic instead of such a waistband.
         """
         if self.top == "waist":
             return "waist"

@@ -53,13 +53,13 @@ _NOT_WORN = ("far", "inside", "unsure", "body")
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """All faults of a garment on a body, and what was measured.
+    """All faults of a garment on a body, and the measurements.
 
     Args:
         findings: worst first.
         fit: how the garment has to move to be worn; None without a body.
         measures: name -> number, SI units; None for what the body does not let be measured.
-        held_by: what holds it up: "pins", "shoulders", "straps", "waistband" or "collar"; None for nothing, or where
+        held_by: what holds it up: "pins", "shoulders", "straps", "waistband" or "collar"; None if nothing does, or if
             it is not worn.
     """
 
@@ -100,10 +100,10 @@ def diagnose(
     belongs, after the move that units and axes call for.
 
     Args:
-        garment: as it was read, or as it is simulated.
-        body: who wears it; without a body only the mesh itself is looked at.
+        garment: as read, or as simulated.
+        body: the body that wears it; without a body only the mesh itself is checked.
         file: the garment's file, named in the cures.
-        body_file: name or file of the body, named in the cures; by default a place to put it.
+        body_file: name or file of the body for the suggested commands; by default a placeholder.
     """
     pinned, is_file = False, not isinstance(garment, Garment)
     if isinstance(garment, Garment):
@@ -174,13 +174,14 @@ def _better_body(vertices: np.ndarray, faces: np.ndarray, body: ShapedBody, fit:
 
 
 def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | Path, support: Support | None) -> None:
-    """Refuse a garment that the resting body does not wear; warn when it starts inside, seems turned or will fall.
+    """Refuse a garment that does not fit around the resting body; warn if it starts inside the body, seems rotated or
+    will fall.
 
     Args:
         garment: the garment.
-        body: who should wear it.
-        file: where the garment was read from, named in the cures.
-        support: what holds it up; None where that is not to be told of, such as where it is pinned.
+        body: the body meant to wear it.
+        file: file of the garment, for the suggested commands.
+        support: what holds it up; None if this is not reported, such as for a pinned garment.
 
     Raises:
         InputError: it is far from the body, wholly inside it, or in other units or axes.
@@ -199,7 +200,10 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
         pairs = self_crossings(garment.vertices, garment.faces, sharing=True)
         owner = np.zeros(len(garment.vertices), dtype=np.int64)
         for tangle in tangles(["The garment"], owner, garment.vertices, garment.faces, pairs):
-            fix = "mend it where it was made; simulation untangles its start where cloth feels cloth"
+            fix = (
+                "repair it in the program it comes from; otherwise a simulation with self-contact untangles it at "
+                "its start"
+            )
             findings.append(Finding("self-crossing", Severity.WARNING, f"{tangle}.", fix))
     if placed and support is not None:
         source = garment.source
@@ -211,12 +215,12 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
 def require_metres(
     garment: Garment, body: ShapedBody | AnimatedBody | None = None, file: str | Path | None = None
 ) -> None:
-    """Refuse a garment whose extent is that of no garment in metres.
+    """Refuse a garment whose size is impossible in metres.
 
     Args:
-        garment: as it was given.
-        body: who should wear it, whose size says the unit; None where there is none.
-        file: where the garment was read from, named in the cures; None for arrays.
+        garment: as given.
+        body: the body meant to wear it, whose size shows the unit; None without a body.
+        file: file of the garment, for the suggested commands; None for arrays.
 
     Raises:
         InputError: it is in other units.
@@ -235,14 +239,14 @@ def require_metres(
 
 
 def require_clothes(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
-    """Refuse a body in the place of a garment, or among it.
+    """Refuse a body given as a garment, or as part of one.
 
     Args:
-        garment: as it was read.
-        body: who should wear it.
+        garment: as read.
+        body: the body meant to wear it.
 
     Raises:
-        InputError: a part of it is a body.
+        InputError: a part of the garment is a body.
     """
     rest = RestBody.of(body)
     if body_faces(garment.vertices, garment.faces, rest).any():
@@ -254,11 +258,11 @@ def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
     """Refuse a garment from arrays in other units, far from the body, or wholly inside it.
 
     Args:
-        garment: as it was given.
-        body: who wears it.
+        garment: as given.
+        body: the body that wears it.
 
     Raises:
-        InputError: its extent is that of no garment in metres, or it does not come near the resting body.
+        InputError: its size is impossible in metres, or it is not near the resting body.
     """
     require_metres(garment)
     rest = RestBody.of(body)
@@ -270,12 +274,12 @@ def require_fine(garment: Garment, body: ShapedBody | AnimatedBody, *, accepted:
     """Refuse a garment too coarse to stay around the resting body; warn where skin may show through it.
 
     Args:
-        garment: as it is simulated.
-        body: who wears it.
-        accepted: whether the user wants it as coarse as it is: a warning then takes the place of the refusal.
+        garment: as simulated.
+        body: the body that wears it.
+        accepted: whether the user chose this coarseness: a warning then replaces the refusal.
 
     Raises:
-        InputError: its edges span too much of the way round the body.
+        InputError: its edges span too large an angle around the body.
     """
     _tell(garment, coarse_findings(garment.vertices, garment.faces, RestBody.of(body)), accepted)
 

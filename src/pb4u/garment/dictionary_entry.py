@@ -15,7 +15,7 @@ class DictionaryEntry(NamedTuple):
 
     Args:
         path: the file.
-        name: of the garment in it; None where it holds one.
+        name: of the garment in the file; None if the file has only one.
         centre: vertex that its coarse levels start from; None is the first that the file has levels for.
     """
 
@@ -25,7 +25,7 @@ class DictionaryEntry(NamedTuple):
 
     @classmethod
     def parse(cls, text: str | Path) -> DictionaryEntry | None:
-        """Entry that FILE.pkl, FILE.pkl:NAME or FILE.pkl:NAME@CENTRE names; None where the text is none of them.
+        """Entry that FILE.pkl, FILE.pkl:NAME or FILE.pkl:NAME@CENTRE names; None for any other text.
 
         Args:
             text: value of --garment.

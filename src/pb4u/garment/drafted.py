@@ -11,9 +11,9 @@ class Drafted:
     """A garment that is sewn of a pattern drafted by measure.
 
     Args:
-        fabric: that it wears where none is asked for, a name of `FABRICS`.
-        parts: what is of two layers, panels whose names begin so -> its interfacing [N m].
-        pins: what follows the body, a name that `resolve_pins` takes.
+        fabric: default fabric, a name of `FABRICS`.
+        parts: parts of two layers: beginning of their panels' names -> interfacing [N m].
+        pins: name of the pinned vertices, as `resolve_pins` takes it.
     """
 
     fabric: str

@@ -59,9 +59,9 @@ def hanging(
     Args:
         sections: the skin.
         ease: height (n,) -> distance (n,) from the skin [m].
-        taper: height (n,) -> how far cloth may draw in (positive) or must flare (negative) per metre going down.
+        taper: height (n,) -> largest decrease (positive) or least flare (negative) of the radius per metre downwards.
         top: nothing above this height holds the cloth.
-        bottom: lowest height that is wanted.
+        bottom: lowest height of the sections [m].
     """
     from scipy.ndimage import gaussian_filter1d
 
@@ -89,7 +89,7 @@ def tube_field(lattice: Lattice, sections: Sections) -> np.ndarray:
     """Field of an endless vertical tube.
 
     Args:
-        lattice: where it is sampled.
+        lattice: points at which to sample the field.
         sections: of the tube.
 
     Returns:
@@ -115,11 +115,11 @@ def sleeve_field(
     The tube lies lightly on the top of the arm and its ease hangs below.
 
     Args:
-        lattice: where it is sampled.
+        lattice: points at which to sample the field.
         form: measures of the body.
         arm: the arm.
-        ease: place along the arm (n,) -> slack of the tube's radius [m].
-        end: where the sleeve ends along the arm.
+        ease: position along the arm (n,) -> extra radius of the tube [m].
+        end: position along the arm where the sleeve ends (1 elbow, 2 wrist).
 
     Returns:
         (nx, ny, nz) [m].
@@ -169,7 +169,7 @@ def cone_chain_field(lattice: Lattice, centre: np.ndarray, radius: np.ndarray) -
     """Field of the union of the cones between consecutive discs, capped far away.
 
     Args:
-        lattice: where it is sampled.
+        lattice: points at which to sample the field.
         centre: (n, 3) centres of the discs [m].
         radius: (n,) their radii [m].
 
@@ -203,9 +203,9 @@ def skin_field(lattice: Lattice, form: BodyForm, left_out: np.ndarray) -> np.nda
     """Signed distance to the skin, exact within a few centimetres.
 
     Args:
-        lattice: where it is sampled.
+        lattice: points at which to sample the field.
         form: measures of the body.
-        left_out: (vertices,) bool, skin that is not covered: nearest to it the field is +3 cm.
+        left_out: (vertices,) bool, skin that is not covered: where such skin is nearest the field is +3 cm.
 
     Returns:
         (nx, ny, nz) [m].

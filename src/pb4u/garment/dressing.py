@@ -21,11 +21,11 @@ _FRAME_CHUNK = 32
 
 
 class Placement(ABC):
-    """Positions of a garment that a moving body alone gives it, without any physics."""
+    """Positions of a garment that follow from the moving body, without any physics."""
 
     @abstractmethod
     def positions(self, start: int, stop: int) -> Tensor:
-        """Garment vertices of consecutive frames, where the body alone puts them.
+        """Garment vertices of consecutive frames, as they follow the body without physics.
 
         Args:
             start: first frame.
@@ -43,7 +43,7 @@ class SkinnedPlacement(Placement):
         garment: worn by the body in its rest pose.
         body: the posed body.
         weights: skinning weights of the garment's vertices; borrowed from the body when None.
-        worn: (vertices, 3) where the garment sits on the resting body [m], laid over others; its rest shape when None.
+        worn: (vertices, 3) of the garment on the resting body, over inner garments [m]; its rest shape when None.
     """
 
     def __init__(
@@ -69,15 +69,15 @@ class SkinnedPlacement(Placement):
 
 
 class AttachedPlacement(Placement):
-    """A garment held to the surface of a body that has no skeleton.
+    """A garment attached to the surface of a body without a skeleton.
 
-    Every vertex keeps its barycentric place on the body triangle nearest to it in frame 0, and its offset from there,
-    which turns with the surface. Frame 0 is exactly where the user put the garment.
+    Every vertex keeps its barycentric coordinates on the body triangle nearest to it in frame 0, and its offset from
+    that point, which rotates with the surface. Frame 0 is exactly where the user put the garment.
 
     Args:
         garment: placed on the body of frame 0.
         body: any moving surface.
-        worn: (vertices, 3) where the garment sits on that body [m], laid over others; its rest shape when None.
+        worn: (vertices, 3) of the garment on that body, over inner garments [m]; its rest shape when None.
     """
 
     def __init__(self, garment: Garment, body: AnimatedBody, worn: np.ndarray | None = None) -> None:
@@ -122,7 +122,7 @@ class PrescribedPlacement(Placement):
     """Where a cloth starts, and the paths of its pinned vertices.
 
     Args:
-        frames: (frames, vertices, 3) [m]; the last one is held.
+        frames: (frames, vertices, 3) [m]; later frames repeat the last one.
     """
 
     def __init__(self, frames: np.ndarray) -> None:

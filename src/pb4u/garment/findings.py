@@ -41,12 +41,12 @@ class Finding:
     Args:
         code: short fixed name.
         severity: whether simulation refuses it, warns, or only has a note for it.
-        sentence: what and where.
+        sentence: the fault and its place.
         fix: how to mend it.
         mendable: whether `repair` does that.
         where: indices of the first vertices, faces or edges concerned, as the sentence says.
         vertices: indices of all vertices concerned, in the author's mesh.
-        tacks: pairs of vertices, in the author's mesh, that would be sewn together to mend it.
+        tacks: pairs of vertices, in the author's mesh, to sew together as a remedy.
     """
 
     code: str
@@ -60,14 +60,14 @@ class Finding:
 
 
 def surface_findings(surface: SourceSurface) -> list[Finding]:
-    """Faults of the mesh itself, on whatever body.
+    """Faults of the mesh itself, independent of the body.
 
     Args:
-        surface: of the garment as its author made it.
+        surface: of the author's mesh of the garment.
     """
     findings = [_finding(surface, fault) for fault in surface_faults(surface)]
     if len(surface.faces) > MOST_SIMULATED:
-        sentence = f"The garment has {len(surface.faces):,} triangles, {MOST_SIMULATED:,} can be simulated."
+        sentence = f"The garment has {len(surface.faces):,} triangles; at most {MOST_SIMULATED:,} can be simulated."
         findings.append(Finding("too-many", Severity.REFUSED, sentence, "simulate it with `--triangles N`"))
     return findings
 
@@ -83,20 +83,20 @@ def _finding(surface: SourceSurface, fault: Fault) -> Finding:
 
 
 def placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: str) -> list[Finding]:
-    """Faults of units, axes and place.
+    """Faults of units, axes and position.
 
     Args:
-        vertices: (vertices, 3) of the garment as it is given.
+        vertices: (vertices, 3) of the garment as given.
         fit: how it has to move to be worn.
         body: the resting body.
-        mend: command that mends what is found.
+        mend: command that repairs the faults.
     """
     if fit.is_identity:
         return far_finding(vertices, body)
     if fit.is_unsure:
         sentence = (
-            "Where on the body the garment belongs is unclear: it fits about as well in "
-            f"{1 + len(fit.alike)} of {len(AXES)} ways to turn it, {1000 * fit.misfit:.0f} mm off on average."
+            f"The position of the garment on the body is unclear: it fits about equally well in {1 + len(fit.alike)} "
+            f"of {len(AXES)} orientations, {1000 * fit.misfit:.0f} mm off on average."
         )
         fix = (
             "give --body and --body-shape of the body that it was made for, or place it on the resting body in the "
@@ -105,12 +105,12 @@ def placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: str
         return [*far_finding(vertices, body), Finding("unsure", Severity.REFUSED, sentence, fix)]
     findings = []
     if fit.unit != "metres":
-        sentence = f"The garment is in {fit.unit}: it spans {np.ptp(vertices, axis=0).max():.4g} of them."
+        sentence = f"The garment is in {fit.unit}: it spans {np.ptp(vertices, axis=0).max():.4g} {fit.unit}."
         findings.append(
             Finding("units", Severity.REFUSED, sentence, f"scale it by {UNITS[fit.unit]:g} with {mend}", True)
         )
     if fit.axes != UPRIGHT:
-        sentence = f"The garment is made {fit.axes}; the world is Y up and the body faces +Z."
+        sentence = f"The garment was made {fit.axes}, but pb4u uses Y up and a body that faces +Z."
         findings.append(Finding("axes", Severity.WARNING, sentence, f"turn it with {mend}", True))
     if fit.shift.any():
         why = "where it fits best" if fit.searched else "it was made around the body model's own origin"
@@ -118,8 +118,10 @@ def placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: str
         code = "place" if fit.shift[[0, 2]].any() else "height"
         findings.append(Finding(code, Severity.WARNING, sentence, f"move it with {mend}", True))
     if fit.front_alike:
-        sentence = f"Front and back of the garment fit alike: {fit.axes} is taken, {fit.front_alike[0]} is as likely."
-        fix = "look at it once it is mended, and turn it about the vertical where it is the wrong way round"
+        sentence = (
+            f"Front and back of the garment fit equally well: {fit.axes} is used, {fit.front_alike[0]} is as likely."
+        )
+        fix = "look at the repaired garment, and turn it about the vertical if it is back to front"
         findings.append(Finding("front", Severity.WARNING, sentence, fix))
     if float(body.misfit(vertices)) > WORST_MISFIT:
         away = 100 * float(np.median(np.abs(body.signed_distances(vertices))))
@@ -146,7 +148,10 @@ def limb_findings(vertices: np.ndarray, faces: np.ndarray, body: ShapedBody) -> 
     if not limbs:
         return []
     sentence = f"{plain_names(limbs).capitalize()} of the body at rest: through the cloth, not inside it."
-    fix = "pose it around them where it was made; simulation pushes it out where a push is enough, and refuses it else"
+    fix = (
+        "pose it around them in the program it comes from; a simulation pushes it out if that is enough, and "
+        "otherwise refuses it"
+    )
     return [Finding("limb-outside", Severity.WARNING, sentence, fix)]
 
 
@@ -165,7 +170,7 @@ def coarse_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> 
     fix = f"ask for more with `--triangles {coarse.enough}`"
     if coarse.is_lost:
         sentence = f"Its {coarse.triangles:,} triangles are too few to stay around the body: {spans}."
-        fix = f"{fix}, or take its own with `--triangles {coarse.triangles}`"
+        fix = f"{fix}, or keep its own with `--triangles {coarse.triangles}`"
         return [Finding("too-coarse", Severity.REFUSED, sentence, fix)]
     sentence = f"Its {coarse.triangles:,} triangles are few for the body, so skin or a limb may come through: {spans}."
     return [Finding("coarse", Severity.WARNING, sentence, fix)]
@@ -182,14 +187,14 @@ def far_finding(vertices: np.ndarray, body: RestBody) -> list[Finding]:
     if distance <= _FAR:
         return []
     sentence = f'The garment is far from the body "{body.name}": its nearest point is {distance:.2f} m away.'
-    return [Finding("far", Severity.REFUSED, sentence, "place it on the body where it was made")]
+    return [Finding("far", Severity.REFUSED, sentence, "place it on the body in the program it comes from")]
 
 
 def body_findings(surface: SourceSurface, body: RestBody) -> list[Finding]:
-    """A body in the place of a garment, or among it.
+    """A body given as a garment, or as part of one.
 
     Args:
-        surface: of the garment as its author made it.
+        surface: of the author's mesh of the garment.
         body: the resting body.
     """
     mask = body_faces(surface.source.vertices, surface.faces, body)
@@ -199,7 +204,7 @@ def body_findings(surface: SourceSurface, body: RestBody) -> list[Finding]:
     name = named(surface.source, polygons)
     part = f"Its object {name}" if name else "The garment" if mask.all() else f"A piece of {len(polygons):,} faces"
     sentence = f'{part} is a body, no garment: it reaches from head to foot of "{body.name}", on its skin or closed.'
-    fix = "give it as --body" if mask.all() else "delete it where the garment was made, and export the clothes alone"
+    fix = "give it as --body" if mask.all() else "delete it in the program it comes from, and export only the clothes"
     where = tuple(polygons[:20].tolist())
     return [
         Finding("body", Severity.REFUSED, sentence, fix, where=where, vertices=_indices(_corners(surface, polygons)))
@@ -216,13 +221,13 @@ def support_findings(
         faces: (faces, 3) int64.
         body: the resting body.
         support: what holds it up.
-        names: (vertices,) number of each vertex in the author's mesh; its place in `vertices` by default.
+        names: (vertices,) number of each vertex in the author's mesh; its index in `vertices` by default.
     """
     if support.name == "shoulders":
         return []
     if support.held is not None:
         sentence = f"Nothing but its {support.name}, {int(support.held.sum())} vertices, can hold the garment up."
-        fix = "none is needed: `pb4u simulate` lets it follow the body, and `--pins none` lets it go"
+        fix = "none is needed: `pb4u simulate` pins it to the body, and `--pins none` releases it"
         return [Finding("unsupported", Severity.NOTE, sentence, fix)]
     why, fix = "none of it lies on the shoulders", "simulate it with `--pins waist`"
     topology = Topology(faces, len(vertices))
@@ -233,8 +238,11 @@ def support_findings(
     tacks = tuple((int(names[a]), int(names[b])) for strap in straps for a, b in strap.tacks)
     if straps:
         gap = max(strap.gap for strap in straps)
-        why = f"{len(straps)} of its straps end loose, {100 * gap:.1f} cm from the border they would be sewn to"
-        fix = "sew them where they were made"
+        why = (
+            f"{len(straps)} of its straps have loose ends, {100 * gap:.1f} cm from the border to which they should "
+            "be sewn"
+        )
+        fix = "sew them in the program they come from"
     if tacks:
         fix = "sew them with " + " ".join(f"`--tack {a}:{b}`" for a, b in tacks)
     sentence = f"Nothing holds the garment up: {why}; it would slide down."
@@ -249,11 +257,11 @@ def contact_findings(
     """First-frame penetration, a garment inside out, a body that is not closed.
 
     Args:
-        surface: of the garment as its author made it.
+        surface: of the author's mesh of the garment.
         fit: how the garment has to move to be worn.
         body: the resting body.
-        measures: numbers by name, to which are added those found here.
-        mend: command that mends what is found.
+        measures: numbers by name; this function adds its own.
+        mend: command that repairs the faults.
     """
     used = np.unique(surface.faces)
     placed = fit.apply(surface.source.vertices)
@@ -286,9 +294,9 @@ def crossing_findings(surface: SourceSurface, vertices: np.ndarray, measures: di
     """A garment that passes through itself; open seams count as welded.
 
     Args:
-        surface: of the garment as its author made it.
+        surface: of the author's mesh of the garment.
         vertices: (vertices, 3) of the garment where it is worn [m].
-        measures: numbers by name, to which are added those found here.
+        measures: numbers by name; this function adds its own.
     """
     welded = surface.weld_target[surface.faces]
     proper = np.flatnonzero((welded != np.roll(welded, 1, axis=1)).all(axis=1))
@@ -300,13 +308,16 @@ def crossing_findings(surface: SourceSurface, vertices: np.ndarray, measures: di
     (tangle,) = tangles(["The garment"], np.zeros(len(vertices), dtype=np.int64), vertices, faces, pairs)
     polygons = surface.polygon[surface.kept[proper[pairs]]]
     start = untangle(vertices, faces, gap=0.0)
-    sentence = f"{tangle}, first faces {first_of(polygons)} (pairs)."
+    sentence = f"{tangle}, the first faces {first_of(polygons)} (pairs)."
     where, concerned = tuple(polygons.reshape(-1)[:20].tolist()), _indices(_corners(surface, polygons))
     if not start.is_free:
-        fix = "mend it where it was made, or simulate it with `--self-contact off`"
+        fix = "repair it in the program it comes from, or simulate it with `--self-contact off`"
         return [Finding("self-crossing", Severity.REFUSED, sentence, fix, where=where, vertices=concerned)]
     farthest = float(np.linalg.norm(start.vertices - vertices, axis=1).max())
-    fix = f"mend it where it was made; simulation untangles its start, by at most {1000 * farthest:.1f} mm"
+    fix = (
+        "repair it in the program it comes from; otherwise the simulation untangles it at its start, by at most "
+        f"{1000 * farthest:.1f} mm"
+    )
     return [Finding("self-crossing", Severity.WARNING, sentence, fix, where=where, vertices=concerned)]
 
 
@@ -318,8 +329,8 @@ def penetration_findings(
     Args:
         distances: (vertices,) signed, to the body [m].
         body: the resting body.
-        mend: command that mends what is found.
-        ids: (vertices,) number of each vertex; its place in `distances` by default.
+        mend: command that repairs the faults.
+        ids: (vertices,) number of each vertex; its index in `distances` by default.
     """
     if not body.is_closed:
         sentence = f'The body "{body.name}" is not a closed surface, so penetration is not reported.'
@@ -335,7 +346,7 @@ def penetration_findings(
         sentence = (
             f'The garment lies wholly inside the body "{body.name}" ({100 * inside.mean():.0f}% of its vertices).'
         )
-        fix = "make it larger, or take the body it was made for"
+        fix = "make it larger, or use the body for which it was made"
         return [Finding("inside", Severity.REFUSED, sentence, fix, where=where, vertices=concerned)]
     sentence = (
         f"{100 * inside.mean():.1f}% of the vertices start inside the body, the deepest "

@@ -77,7 +77,7 @@ class RestBody:
     """The surface that a garment is fitted to.
 
     Args:
-        name: what the user called the body.
+        name: of the body, as given by the user.
         vertices: (vertices, 3) float64 [m].
         faces: (faces, 3) int64.
         contact: (vertices,) bool.
@@ -105,7 +105,7 @@ class RestBody:
 
     @cached_property
     def surface(self) -> PosedSurface:
-        """The part of the surface that contact is answered on."""
+        """The part of the surface that takes part in contact."""
         return TriangleSurface(self.faces, len(self.vertices), self.contact).at(self.vertices)
 
     @cached_property
@@ -172,7 +172,7 @@ class Fit:
         axes: name of the file's axes, a key of `AXES`.
         shift: (3,) [m].
         misfit: of the moved garment, see `RestBody.misfit` [m].
-        searched: whether the place was searched for, with nothing in the body model to say it.
+        searched: whether the position was found by a search, without information from the body model.
         alike: other axes under which it fits about as well.
     """
 
@@ -185,7 +185,7 @@ class Fit:
 
     @classmethod
     def identity(cls, misfit: float | np.ndarray) -> Fit:
-        """The fit that moves nothing; `misfit` is one number [m].
+        """The fit without any change; `misfit` is one number [m].
 
         Args:
             misfit: distance by which the garment does not fit [m].
@@ -203,7 +203,8 @@ class Fit:
 
     @property
     def is_unsure(self) -> bool:
-        """Whether the place was searched for and most ways to turn the garment fit as well: it may belong anywhere."""
+        """Whether the position was found by a search and most rotations of the garment fit equally well, so that its
+        place is unknown."""
         return self.searched and len(self.alike) >= len(AXES) // 2
 
     @property
@@ -224,13 +225,13 @@ class Fit:
 
 
 def find_fit(vertices: np.ndarray, body: RestBody) -> Fit:
-    """The transform under which a garment, in whatever unit, axes and place, fits the body best.
+    """The transform with which a garment of any unit, axes and position fits the body best.
 
     Units, quarter turns about the vertical and shifts in all three directions are compared. The unit comes first: one
-    in which the garment is worn where it is, else one in which it fits best and has a usual size. What needs less
-    change wins among those that fit about as well: first as it is, then by the body model's own origin where it reaches
-    below the ground or fits best there, then any place. A garment that lies wholly inside the body is not looked for
-    elsewhere.
+    in which the garment fits at its present position, else one in which it fits best and has a usual size. Among
+    transforms that fit about equally well the smallest change wins: first none, then a shift by the body model's origin
+    if the garment reaches below the ground or fits best there, then any position. A garment that is wholly inside the
+    body is not moved elsewhere.
 
     Args:
         vertices: (vertices, 3) of the garment, in its own unit and axes [file units].

@@ -27,7 +27,7 @@ _CREASE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class SourceMap:
-    """Places of the author's vertices on the simulated mesh, by triangle and barycentric coordinates.
+    """Positions of the author's vertices on the simulated mesh, as triangles and barycentric coordinates.
 
     Args:
         source: the author's mesh.
@@ -50,7 +50,7 @@ class GarmentSkinning:
         pose_directions: (vertices, 3, pose features) float64 displacement a pose feature [m]; the features are the
             entries of the local rotations minus identity of all bones but the root.
         weights: bones of each vertex.
-        bone_count: bones of the body that it is meant for.
+        bone_count: number of bones of the body that it was made for.
     """
 
     vertices: np.ndarray
@@ -60,7 +60,7 @@ class GarmentSkinning:
     bone_count: int
 
     def at(self, corners: np.ndarray, barycentric: np.ndarray) -> GarmentSkinning:
-        """Skinning of other vertices, mixed from those of a triangle each.
+        """Skinning of other vertices, each interpolated from the corners of a triangle.
 
         Args:
             corners: (vertices, 3) int64, corners of the triangle that each lies on.
@@ -81,8 +81,8 @@ class PinSprings:
     """Springs between the pins of a garment and where skinning puts them.
 
     Args:
-        stiffness: of all of them together [N/m], so that it means the same at any number of triangles.
-        until: when they let go [s], since the simulation began.
+        stiffness: total of all springs [N/m], so that it does not depend on the number of triangles.
+        until: time since the start of the simulation at which they release the vertices [s].
     """
 
     stiffness: float
@@ -94,40 +94,40 @@ class Garment:
     """A single-layer triangle mesh in its rest shape, worn by a body in its rest pose.
 
     Args:
-        name: what the user called it.
+        name: as given by the user.
         vertices: (vertices, 3) float64 rest positions [m], where they sit on the resting body.
         faces: (faces, 3) int64, counter-clockwise from outside.
-        material: cloth of all faces; of several materials, the one that covers most.
-        pinned: (vertices,) bool, vertices that follow the body; left out, none does.
+        material: cloth of all faces; of several materials, the one of the largest area.
+        pinned: (vertices,) bool, vertices that follow the body; by default none.
         uvs: (uv points, 2) float64 of the simulated mesh, or None.
         uv_faces: (faces, 3) int64 into `uvs`, or None.
         source: map to the author's mesh, or None where that is the simulated mesh itself.
-        loose: whether it hangs free of the nearest limb (dresses, skirts): skinning weights are then averaged widely.
-        coarse_edges: (edges, 2) int64 of each coarse level from fine to coarse, where its file brings them.
-        skinning: how it rides on the body, where its file says so; None borrows from the body.
+        loose: whether it hangs away from the nearest limb (dresses, skirts): skinning weights are then averaged widely.
+        coarse_edges: (edges, 2) int64 of each coarse level from fine to coarse, if its file has them.
+        skinning: its skinning weights from its file; None to take weights from the body.
         rest_uv: (faces, 3, 2) float64 corners of each face lying flat [m], of cloth that was cut flat and sewn. These
-            triangles are then the rest shape, and `vertices` only says where they are worn. None where `vertices` is
+            triangles are then the rest shape, and `vertices` is only the position on the body. None where `vertices` is
             the rest shape.
-        grainless: whether `rest_uv` is turned anyhow; else its second axis is the warp's.
+        grainless: whether the axes of `rest_uv` are arbitrary; otherwise its second axis is the warp.
         appearances: colours and images of the faces, or None.
         panels: names of the pattern's panels, where it was sewn of one: each is an island of `uv_faces`, in the order
             of their first UV points.
-        materials: cloths of its parts; left out, `material` alone.
-        face_material: (faces,) int64 which of the `materials` each face, or most of it, is made of; None where there
-            is one at most.
-        material_layers: (faces, materials) float64 number of layers of each of the `materials` on each face, in the
-            mean of its area; left out, each face is one layer of one.
+        materials: cloths of its parts; by default only `material`.
+        face_material: (faces,) int64 index in `materials` of each face, or of most of its area; None for at most one
+            material.
+        material_layers: (faces, materials) float64 number of layers of each of the `materials` on each face, averaged
+            over its area; by default each face is one layer of one material.
         trims: interfacing and elastic of its faces; None for none.
-        sewn: what its parts have that the rest of it has not.
-        pieces: names of parts of its file, each once; left out, those of its `appearances`.
+        sewn: materials, layers and trims of its parts that the rest of it does not have.
+        pieces: names of parts of its file, each once; by default those of its `appearances`.
         piece_of_face: (faces,) int64 which of the `pieces` each face belongs to, -1 for none; or None.
-        springs: on which its pins are held; None where they hold exactly, and always.
-        pressed: (faces,) bool, faces that are pressed over: along edges between them and others cloth bends as good as
+        springs: springs of its pins; None if pins hold exactly and are never released.
+        pressed: (faces,) bool, faces that are ironed over: along edges between them and other faces cloth bends almost
             freely; None for none.
         buttons: (buttons,) int64 vertices that buttons close; None for none.
 
     Raises:
-        InputError: an array has another shape, or holds what cannot be used. Lists are taken for arrays.
+        InputError: an array has another shape, or unusable values. Lists are converted to arrays.
     """
 
     name: str
@@ -166,8 +166,8 @@ class Garment:
         }
         if checked["pinned"].shape != (len(vertices),) or checked["pinned"].dtype != bool:
             raise InputError(
-                f"{owner}: pinned is a bool for each of its {len(vertices)} vertices; vertices by number are pinned by "
-                "make_scene(pins=[..])."
+                f"{owner}: pinned must hold one bool for each of its {len(vertices)} vertices; make_scene(pins=[..]) "
+                "pins vertices by number."
             )
         for material in (self.material, *self.materials):
             if not isinstance(material, Material):
@@ -186,13 +186,13 @@ class Garment:
             shape = len(self.faces), len(self.materials)
             if layers.shape != shape or (layers < 0.0).any() or not layers.any(axis=1).all():
                 raise InputError(
-                    f"{owner}: its material_layers are numbers (faces, materials), {shape[0]} by {shape[1]}, zero or "
-                    "more, and some cloth on every face."
+                    f"{owner}: its material_layers must be numbers (faces, materials), {shape[0]} by {shape[1]}, none "
+                    "below zero and each row with one above it."
                 )
             object.__setattr__(self, "material_layers", layers)
             object.__setattr__(self, "face_material", layers.argmax(axis=1))
         if self.trims is not None and self.trims.columns.shape != (len(self.faces), 2):
-            raise InputError(f"{owner}: its trims are numbers for each of its {len(self.faces)} faces.")
+            raise InputError(f"{owner}: its trims must hold numbers for each of its {len(self.faces)} faces.")
         if len(self.materials) == 1 and self.face_material is None:
             object.__setattr__(self, "face_material", np.zeros(len(self.faces), dtype=np.int64))
         if self.face_material is not None:
@@ -200,12 +200,15 @@ class Garment:
             object.__setattr__(self, "face_material", places)
             object.__setattr__(self, "material", self.materials[int((self.face_areas @ self.layers).argmax())])
         elif len(self.materials) > 1:
-            raise InputError(f"{owner}: of {len(self.materials)} materials, face_material says which each face has.")
+            raise InputError(
+                f"{owner}: it has {len(self.materials)} materials, so face_material must say which of "
+                "them each face has."
+            )
         object.__setattr__(self, "materials", tuple(self.materials) if self.face_material is not None else ())
 
     @property
     def mesh(self) -> PolygonMesh:
-        """The simulated mesh as it is written to a file, with its UV points and colours."""
+        """The simulated mesh for writing to a file, with its UV points and colours."""
         uv_faces = None if self.uv_faces is None else tuple(self.uv_faces)
         return PolygonMesh(self.vertices, tuple(self.faces), self.uvs, uv_faces, self.appearances)
 
@@ -220,12 +223,12 @@ class Garment:
 
     @property
     def has_grain(self) -> bool:
-        """Whether it is known which way its warp runs; where it is not, its cloth is alike in all directions."""
+        """Whether the direction of its warp is known; otherwise its cloth is the same in all directions."""
         return self.rest_uv is not None and not self.grainless
 
     @property
     def has_elastic(self) -> bool:
-        """Whether elastic gathers a part of it."""
+        """Whether elastic gathers one of its parts."""
         return self.trims is not None and bool((self.trims.elastic < 1.0).any())
 
     @cached_property
@@ -243,7 +246,7 @@ class Garment:
 
     @cached_property
     def parts(self) -> dict[str, np.ndarray]:
-        """Faces (faces,) bool by the name of a part: what its file calls materials, and the panels of its pattern."""
+        """Faces (faces,) bool by the name of a part: materials named in its file, and panels of its pattern."""
         masks: dict[str, np.ndarray] = {}
         if self.piece_of_face is not None:
             masks |= {name: self.piece_of_face == number for number, name in enumerate(self.pieces)}
@@ -259,7 +262,7 @@ class Garment:
     def of_faces(self, name: str) -> np.ndarray:
         """A property of the cloth of each face, (faces,) or (faces, numbers) in its unit; of several the mean by area.
 
-        What layers add up to is that of all of them: density, membrane, bending and thickness.
+        Density, membrane stiffness, bending stiffness and thickness of layers add up.
 
         Args:
             name: attribute of `Material`.
@@ -300,7 +303,7 @@ class Garment:
     def hinge_bending(self) -> np.ndarray:
         """Bending coefficients (hinges,) [J]: two materials bend in series, each as wide as its face.
 
-        Bands run through faces beside each other, not from one to the other: there it is the mean by area.
+        Within bands it is the area-weighted mean, since a band runs through both faces side by side.
         """
         hinge_faces = self.topology.hinge_faces
         bending, areas = self._side_bending(hinge_faces), self.face_areas[hinge_faces]
@@ -358,7 +361,7 @@ class Garment:
         return bool(source_vertices >= len(self.vertices))
 
     def is_skinned_for(self, body: ShapedBody | AnimatedBody) -> bool:
-        """Whether its own file says how this body wears it: its skinning names as many bones as the body has.
+        """Whether its file has skinning for this body: weights for as many bones as the body has.
 
         Args:
             body: any body.

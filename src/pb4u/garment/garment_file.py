@@ -28,7 +28,7 @@ MOST_SIMULATED = 1_000_000
 def read_garment(
     path: str | Path, material: Material, triangles: int | None = None, pins: str | Path | Sequence[int] | None = None
 ) -> Garment:
-    """The garment in a mesh file; warns of what is left out or looks odd.
+    """The garment in a mesh file; warns of ignored content and unusual meshes.
 
     Vertex order, polygons and UVs stay in `Garment.source`. Units and axes are never changed.
 
@@ -39,7 +39,7 @@ def read_garment(
         pins: which vertices follow the body, as for `resolve_pins`; None for none.
 
     Raises:
-        InputError: the file cannot be used as it is; says how to mend it.
+        InputError: the file cannot be used; the message gives the remedy.
     """
     garment = authors_garment(path, material, MOST_SIMULATED if triangles is None else MOST_READ)
     if unit := garment_unit(extent_of(garment.vertices)):
@@ -49,7 +49,7 @@ def read_garment(
 
 
 def authors_garment(path: str | Path, material: Material, most_triangles: int = MOST_SIMULATED) -> Garment:
-    """The garment in a mesh file with its author's vertices and faces, in whatever unit; else as `read_garment`.
+    """The garment in a mesh file with its author's vertices and faces, in any unit; otherwise as `read_garment`.
 
     Args:
         path: the file.
@@ -57,7 +57,7 @@ def authors_garment(path: str | Path, material: Material, most_triangles: int = 
         most_triangles: number of triangles above which it is refused.
 
     Raises:
-        InputError: the file cannot be used as it is; says how to mend it.
+        InputError: the file cannot be used; the message gives the remedy.
     """
     path = Path(path)
     source = read_source(path, most_triangles)
@@ -84,7 +84,7 @@ def authors_garment(path: str | Path, material: Material, most_triangles: int = 
 def fix_command(
     file: str | Path = "GARMENT.obj", body: str = DEFAULT_BODY, shape: Mapping[str, float] | None = None
 ) -> str:
-    """The command that mends a garment, for hints.
+    """The command that repairs a garment, for hints.
 
     Args:
         file: the garment's file.
@@ -116,12 +116,12 @@ def read_source(path: Path, most_triangles: int = MOST_READ) -> PolygonMesh:
     def refuse_large(count: int) -> None:
         if count > MOST_READ:
             raise InputError(
-                f"{path} has {count:,} triangles or more, and {MOST_READ:,} are the most that can be read; "
+                f"{path} has {count:,} triangles or more; at most {MOST_READ:,} can be read; "
                 "decimate it in the program it comes from."
             )
         if count > most_triangles:
             raise InputError(
-                f"{path} has {count:,} triangles, and {most_triangles:,} are the most that can be simulated; "
+                f"{path} has {count:,} triangles; at most {most_triangles:,} can be simulated; "
                 "ask for fewer with `--triangles N`."
             )
 

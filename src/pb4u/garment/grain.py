@@ -24,19 +24,19 @@ and rounds in which the nearest that it does say something of are reached."""
 def grained(garment: Garment, direction: Sequence[float] | None = None) -> Garment:
     """The garment with its warp along the second axis of `rest_uv`, where anything says how it runs.
 
-    What was cut of flat panels has a grain. Of others, a direction that is given says it, or else UVs in metres, by
-    their second axis: a pattern's, not those of a packed texture.
+    A garment cut of flat panels has a grain. For others `direction` gives it, or else the second axis of UVs in metres:
+    those of a pattern, not of a packed texture.
 
     Args:
-        garment: where it is worn.
-        direction: of the warp there (3,), in any unit; None where it is not given.
+        garment: as worn at rest.
+        direction: of the warp in that position (3,), in any unit; None if not given.
 
     Raises:
         InputError: a direction is given for a garment that has a grain.
     """
     if garment.has_grain:
         if direction is not None:
-            raise InputError(f"{garment.name} is cut of flat panels, which have a grain already; leave --grain out.")
+            raise InputError(f"{garment.name} is cut of flat panels, which already have a grain; leave out --grain.")
         return garment
     ways = _ways_of_uvs(garment) if direction is None else _projected(garment, np.asarray(direction, dtype=np.float64))
     if ways is None:

@@ -36,15 +36,15 @@ INNERMOST_MOBILITY = 0.2
 
 
 def layered(garments: Sequence[Garment], body: RestBody) -> tuple[np.ndarray, ...]:
-    """Positions of garments with each one over those before it; their rest shapes stay.
+    """Positions of garments with each one over those before it; their rest shapes do not change.
 
-    Where an inner garment reaches beyond an outer one it is laid towards the body, as far as there is room; what outer
-    cloth lies beneath it still, or nearer over it than `LAYER_GAP`, is brought to its outward side. The cloth around
-    goes along smoothly, and what crosses then is untangled. What cannot be untangled is left as it was laid.
+    Parts of an inner garment outside an outer one are moved towards the body, as far as there is room; outer cloth that
+    is still beneath it, or closer over it than `LAYER_GAP`, is moved to its outer side. The cloth around follows
+    smoothly, and remaining crossings are untangled. Cloth that cannot be untangled keeps its position.
 
     Args:
-        garments: inner first, each where it sits on the resting body; faces counter-clockwise from outside.
-        body: who wears them.
+        garments: inner first, each in its position on the resting body; faces counter-clockwise from outside.
+        body: the body that wears them.
 
     Returns:
         (vertices, 3) float64 [m] of each garment; of a single one its own.
@@ -64,13 +64,13 @@ def layered(garments: Sequence[Garment], body: RestBody) -> tuple[np.ndarray, ..
 
 
 def worn_order(garments: Sequence[Garment], tucked: Sequence[bool]) -> list[int]:
-    """Indices of garments, inner first, once what is tucked in lies beneath what is worn from the waist.
+    """Indices of garments, inner first, with tucked garments placed beneath those worn from the waist.
 
     A garment is tucked into the innermost one whose upper edge lies between its own upper and lower edges, at least
-    0.15 m under the upper; the order is otherwise as given.
+    0.15 m under the upper; otherwise the given order is kept.
 
     Args:
-        garments: in the order given, each where it sits on the resting body.
+        garments: in the given order, each in its position on the resting body.
         tucked: (garments,) whether each is to be tucked in.
 
     Raises:
@@ -93,7 +93,7 @@ def worn_order(garments: Sequence[Garment], tucked: Sequence[bool]) -> list[int]
 
 
 def joined_faces(garments: Sequence[Garment]) -> tuple[np.ndarray, np.ndarray]:
-    """Faces (faces, 3) int64 of garments whose vertices come one after the other, and the garment (vertices,) of each.
+    """Faces (faces, 3) int64 of garments with concatenated vertices, and the garment (vertices,) of each vertex.
 
     Args:
         garments: in the order of their vertices.
@@ -104,10 +104,10 @@ def joined_faces(garments: Sequence[Garment]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def mobility_of(vertex_garment: np.ndarray, count: int) -> np.ndarray:
-    """Mobility (vertices,) of cloth that is parted: outer garments give way to inner ones.
+    """Mobility (vertices,) of cloth during untangling: outer garments move, inner ones less.
 
     Args:
-        vertex_garment: (vertices,) int64 place of each vertex's garment in the order they are worn, inner first.
+        vertex_garment: (vertices,) int64 index of each vertex's garment in the order they are worn, inner first.
         count: number of garments.
     """
     rise = (1.0 - INNERMOST_MOBILITY) / max(count - 1, 1)

@@ -53,15 +53,15 @@ def build_garment(
 ) -> Garment:
     """A built-in garment fitted to the resting `body`, with about `triangles` triangles of even size.
 
-    Every count approximates the same smooth surface. Surface and garment are kept as long as the body lives. It is the
-    plain cut: hems, cuffs and elastic are sewn to it by `make_scene`.
+    Every count approximates the same smooth surface. Surface and garment are cached as long as the body object exists.
+    It is the plain cut: hems, cuffs and elastic are sewn to it by `make_scene`.
 
     Args:
         name: one of `garment_names()`.
         body: any body whose skeleton has shoulders, elbows, wrists, hips, knees and ankles.
-        triangles: wanted number of triangles, from 200 to 200,000; met within 5 %.
-        rest_shape: "flat", cut of flat panels that have a grain, in a fabric of its own; or "moulded", as it sits on
-            the body, in the material of the family of networks.
+        triangles: number of triangles, from 200 to 200,000; the result is within 5 % of it.
+        rest_shape: "flat", cut of flat panels that have a grain, in a fabric of its own; or "moulded", with the shape
+            that it has on the body, in the material that networks are trained on.
 
     Raises:
         InputError: an unknown name or rest shape, a count out of range, or a body without those joints.
@@ -87,16 +87,16 @@ def build_garment(
 
 
 def cut_garment(name: str, cut: Cut, body: ShapedBody, triangles: int) -> Garment:
-    """A garment of any cut, fitted and meshed as `build_garment` does it, moulded; nothing is kept.
+    """A moulded garment of any cut, fitted and meshed as by `build_garment`, but not cached.
 
     Args:
         name: name of the garment.
         cut: of the garment.
         body: resting body, with the joints that `build_garment` asks for.
-        triangles: wanted number of triangles, met within 5 %.
+        triangles: number of triangles; the result is within 5 % of it.
 
     Raises:
-        InputError: a body without those joints, or a surface that so many triangles cannot mesh.
+        InputError: a body without those joints, or a surface that cannot be meshed with that many triangles.
     """
     return _meshed(name, cut, tailor(cut, form_of(body)), body, triangles, "moulded")
 

@@ -23,7 +23,7 @@ def limbs_outside(vertices: np.ndarray, faces: np.ndarray, body: ShapedBody) -> 
     Args:
         vertices: (vertices, 3) of the garment where it is worn [m].
         faces: (faces, 3) int64.
-        body: who wears it.
+        body: the body that wears it.
     """
     names, segments, _ = limb_bones(body)
     ends = body.skeleton.joints[segments]
@@ -38,11 +38,11 @@ def with_limbs_inside(garment: Garment, body: ShapedBody | AnimatedBody) -> Garm
     """The garment, pushed out of the body where limbs of the resting body go through it; unchanged where none does.
 
     Args:
-        garment: where it is worn.
-        body: who wears it; one without bones is not looked at.
+        garment: as worn at rest.
+        body: the body that wears it; a body without bones is ignored.
 
     Raises:
-        InputError: a limb is through it still.
+        InputError: a limb still passes through it.
 
     Warns:
         InputWarning: it was pushed.

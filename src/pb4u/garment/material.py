@@ -67,7 +67,7 @@ class Material:
         density: mass by area [kg/m^2].
         warp_stiffness: modulus along the warp, without narrowing [N/m].
         weft_stiffness: modulus along the weft, without narrowing [N/m].
-        coupling_stiffness: how much force along one thread the stretch along the other makes [N/m].
+        coupling_stiffness: force along one thread caused by stretch along the other [N/m].
         shear_stiffness: modulus of shear between warp and weft [N/m].
         bending_stiffness: force by curvature of a plate [N m], by direction (`DirectionalBending`, or a mapping of
             its fields) or one for all.
@@ -76,12 +76,12 @@ class Material:
         damping_time: stress of a change of shape over that of the shape, by the rate of the change [s]: a mode of
             angular frequency w loses the share 1 - exp(-pi damping_time w) of its amplitude in a period.
         friction: coefficient of friction on skin and on the ground.
-        thickness: for contact and drawing alone [m].
-        source: where its numbers come from.
+        thickness: used only for contact and drawing [m].
+        source: source of its numbers.
 
     Raises:
-        InputError: a number is out of its range, or the membrane would give way to some stretch, or shears harder than
-            it stretches along any thread.
+        InputError: a number is out of range, the membrane would have no resistance to some stretch, or its shear
+            stiffness exceeds that of every thread.
     """
 
     density: float
@@ -111,7 +111,7 @@ class Material:
         if not coupling**2 < warp * weft:
             raise InputError(
                 f"Material coupling_stiffness must be smaller than {(warp * weft) ** 0.5:.4g} N/m, the geometric mean "
-                f"of warp and weft, not {coupling:g}: the cloth would stretch of itself."
+                f"of warp and weft, not {coupling:g}: otherwise the cloth would stretch by itself."
             )
         if shear > max(warp, weft):
             raise InputError(
@@ -154,7 +154,7 @@ class Material:
         """The material of a record that this project wrote, with the fields of now or the five numbers of before.
 
         Args:
-            record: entries by name; those that are no field are left out.
+            record: entries by name; unknown ones are ignored.
 
         Raises:
             InputError: a number is out of its range.
@@ -213,7 +213,7 @@ class Material:
 
     @property
     def has_grain(self) -> bool:
-        """Whether it matters which way it is cut."""
+        """Whether its properties depend on direction."""
         c11, c22, c12, c33 = self.membrane
         mu = nearest_isotropic(c11, c22, c12, c33)[0]
         isotropic = np.allclose([c11, c22, c33], [c12 + 2.0 * mu, c12 + 2.0 * mu, mu], rtol=1e-9, atol=0.0)
@@ -264,7 +264,7 @@ _POSITIVE = {
     "thickness": (0.1, "m"),
     "lame_mu": (1e12, "Pa"),
 }
-"""Numbers that must be positive, the most that is taken, and the unit: beyond these it is no cloth."""
+"""Numbers that must be positive, the most that is taken, and the unit: beyond these it is not cloth."""
 _POSITIVE_OR_ZERO = {
     "lame_lambda": (1e12, "Pa"),
     "bending": (40.0, "J"),
@@ -347,7 +347,7 @@ def load_material(name_or_path: str | Path) -> Material:
     if not path.suffix:
         raise unknown_name("material", name, BUILT_IN)
     if path.suffix.lower() != ".json":
-        raise InputError(f"A material of your own is a .json file; {path} ends otherwise.")
+        raise InputError(f"A material of your own is a .json file; {path} has another suffix.")
     return _read_material(path)
 
 

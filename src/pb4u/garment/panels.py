@@ -21,8 +21,8 @@ of a fitted dress is 2 % where it is worn; with this it is 0.3 %, for 3 % more c
 def flat_panels(vertices: np.ndarray, faces: np.ndarray, form: BodyForm, cut: Cut) -> tuple[np.ndarray, np.ndarray]:
     """The panels of a garment laid flat side by side, as they are cut from cloth whose warp runs upwards.
 
-    Up is where it is up as worn; along sleeves and legs it is the limb's own way. A panel that would fold over is cut
-    in two.
+    Up is the vertical of the worn garment, and along sleeves and legs the axis of the limb. A panel that would fold
+    over is cut in two.
 
     Args:
         vertices: (vertices, 3) of the garment where it is worn [m].

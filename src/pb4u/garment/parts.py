@@ -48,9 +48,9 @@ class Part:
     Args:
         name: of the part.
         is_band: whether it lies along a border.
-        beyond: (faces, 3) float64 at the corners of the faces, linear between, what lies beyond it being positive.
-        along: (faces, 3) direction of the nearest border of the garment that the part reaches, where it is worn; None
-            where it reaches none.
+        beyond: (faces, 3) float64 at the corners of the faces, linear between, positive beyond it.
+        along: (faces, 3) direction of the nearest border of the worn garment that the part reaches; None if it reaches
+            none.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Part:
 
     @cached_property
     def share(self) -> np.ndarray:
-        """Share (faces,) of each face's area that belongs to it."""
+        """Share (faces,) of each face's area that belongs to the part."""
         return shares_below(self.beyond, 0.0)
 
 
@@ -68,7 +68,7 @@ class Parts:
     """The parts of a garment.
 
     Args:
-        garment: where it is worn.
+        garment: as worn at rest.
     """
 
     def __init__(self, garment: Garment) -> None:
@@ -86,7 +86,7 @@ class Parts:
 
     @cached_property
     def open_front(self) -> np.ndarray:
-        """Edges (edges, 2) int64 of the border round an open front; none where it is closed."""
+        """Edges (edges, 2) int64 of the border around an open front; empty if it is closed."""
         vertices, loops = self._garment.vertices, self._garment.topology.boundary_loops
         around = [loop for loop, beside in zip(loops, self._beside, strict=True) if not beside]
         top = max(around, key=lambda loop: vertices[loop, 1].max(), default=np.zeros(0, dtype=np.int64))
@@ -139,17 +139,17 @@ class Parts:
 
         Args:
             name: one of `names`.
-            width: of a band [m]; None for its usual one.
+            width: of a band [m]; None for its default.
 
         Raises:
-            InputError: it is not there, a piece is given a width, or a band is wider than the panels that it lies on.
+            InputError: there is no such part, a width is given for a piece, or a band is wider than its panels.
         """
         garment = self._garment
         refuse_unknown("part", [name], self.names, f"The garment {garment.name}")
         if name in self.pieces:
             if width is not None:
                 raise InputError(
-                    f"{garment.name}: {name} is a part of its file, which has a width already; leave it out."
+                    f"{garment.name}: {name} is a part of its file, which sets the width; leave out band_width."
                 )
             faces = self.pieces[name]
             of_piece = garment.topology.edge_faces[:, 0]
@@ -192,8 +192,8 @@ class Parts:
         narrowest = float(reach[panel[on_rim]].min())
         if width > narrowest:
             raise InputError(
-                f"{garment.name}: its {name} of {width:g} m is wider than the panel that it lies on, which reaches "
-                f"{narrowest:.3f} m; give a smaller band_width."
+                f"{garment.name}: its {name} of {width:g} m is wider than its panel, which is {narrowest:.3f} m wide "
+                "there; give a smaller band_width."
             )
 
 
@@ -208,16 +208,16 @@ def with_parts(
     """A garment with fabrics, further layers, interfacing and elastic on parts of it; bands lie over pieces.
 
     Args:
-        garment: where it is worn.
-        materials: of parts by name; elastic that gathers its part is of webbing where none is given.
+        garment: as worn at rest.
+        materials: of parts by name; by default elastic that gathers its part is webbing.
         widths: of bands by name [m].
         layers: number of layers of parts by name.
         interfacing: bending stiffness that is added to parts by name [N m].
         elastic: rest length of parts along their border over that of the cloth, by name.
 
     Raises:
-        InputError: a part is not there or has nothing, a band is wider than its panel, two parts claim a face, or
-            elastic lies on a part that reaches no border.
+        InputError: a part is unknown or empty, a band is wider than its panel, two parts share a face, or elastic is
+            given to a part that reaches no border.
     """
     webbing = {name: FABRICS[WEBBING] for name, ratio in elastic.items() if ratio < 1.0}
     materials = webbing | dict(materials)
@@ -229,7 +229,10 @@ def with_parts(
     parts = [parts_of_garment.named(name, widths.get(name)) for name in names]
     for name in widths:
         if not any(name in treatment for treatment in treatments):
-            raise InputError(f"{garment.name}: its {name} has a band_width and nothing that makes it a band.")
+            raise InputError(
+                f"{garment.name}: its {name} has a band_width, but no material, layers, interfacing or elastic for "
+                "the band."
+            )
     cloths, cloth = list(garment.materials or (garment.material,)), garment.layers
     before = garment.trims or Trims.none(len(garment.faces))
     stiff, gathers = before.interfacing, [_Gather(cloth, _pull(before.elastic), np.tile([1.0, 0.0], (len(cloth), 1)))]
@@ -316,8 +319,8 @@ def _ways(garment: Garment, part: Part) -> np.ndarray:
     """Unit directions (faces, 2) at rest along the border that a part reaches."""
     if part.along is None:
         raise InputError(
-            f"{garment.name}: elastic runs along a border of the garment, and {part.name} reaches none; give it to a "
-            "part that does."
+            f"{garment.name}: elastic runs along a border of the garment, and {part.name} reaches none; give elastic "
+            "to a part that does."
         )
     ways = carried_directions(part.along, garment.vertices[garment.faces], garment.rest_shape)
     long = np.linalg.norm(ways, axis=1, keepdims=True)
@@ -346,7 +349,7 @@ def _refuse_claims(garment: Garment, parts: list[Part]) -> None:
             both = np.count_nonzero(both_below(one.beyond, other.beyond))
             if both:
                 raise InputError(
-                    f"{garment.name}: {other.name} and {one.name} both claim {both} of its faces; leave one out, or "
+                    f"{garment.name}: {other.name} and {one.name} share {both} of its faces; leave one out, or "
                     "give a smaller band_width."
                 )
 

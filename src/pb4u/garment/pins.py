@@ -46,12 +46,12 @@ def resolve_pins(spec: str | Path | Sequence[int] | np.ndarray, garment: Garment
             raise InputError(f'{path} names no vertex; give "none" to pin none.')
         return _from_indices(indices, garment, str(path))
     raise InputError(
-        f'There are no pins "{text}" and no such file; choose {_choices(garment)}, or give a file of indices.'
+        f'There are no pins "{text}" and no file of that name; choose {_choices(garment)}, or give a file of indices.'
     )
 
 
 def highest_reaching(vertices: np.ndarray, loops: Sequence[np.ndarray]) -> np.ndarray:
-    """The border, vertices (n,) in order, whose highest vertex is above those of the others.
+    """Vertices (n,), in order, of the border with the highest vertex.
 
     Args:
         vertices: (vertices, 3) [m].
@@ -113,7 +113,7 @@ def _read_indices(path: Path) -> np.ndarray:
         indices = np.array(values)
     except (OSError, ValueError):
         raise InputError(
-            f"{path} is no list of vertex indices; write one index a line, or a JSON list of whole numbers."
+            f"{path} is not a list of vertex indices; write one index a line, or a JSON list of whole numbers."
         ) from None
     return indices
 
@@ -121,11 +121,14 @@ def _read_indices(path: Path) -> np.ndarray:
 def _from_indices(indices: np.ndarray, garment: Garment, where: str) -> np.ndarray:
     count = len(garment.vertices) if garment.source is None else len(garment.source.source.vertices)
     if indices.ndim != 1 or (indices.size and indices.dtype.kind not in "iu"):
-        raise InputError(f"{where} is no list of vertex indices; whole numbers from 0 to {count - 1} are needed.")
+        raise InputError(f"{where} must list vertex indices, whole numbers from 0 to {count - 1}.")
     indices = indices.astype(np.int64)
     bad = indices[(indices < 0) | (indices >= count)]
     if len(bad):
-        raise InputError(f"{where} names vertices out of range, first {bad[:5].tolist()}; {garment.name} has {count}.")
+        raise InputError(
+            f"{where} names vertices out of range, the first of them {bad[:5].tolist()}; {garment.name} "
+            f"has {count} vertices."
+        )
     is_pinned = np.zeros(count, dtype=bool)
     is_pinned[indices] = True
     if garment.source is None or not len(indices):

@@ -34,7 +34,7 @@ class Repaired(NamedTuple):
     Args:
         mesh: the garment.
         changes: a plain sentence for each change.
-        remarks: a plain sentence for each fault that was looked at and not mended.
+        remarks: a plain sentence for each fault that was not repaired.
     """
 
     mesh: PolygonMesh
@@ -43,14 +43,14 @@ class Repaired(NamedTuple):
 
 
 def repair(source: PolygonMesh, body: ShapedBody | AnimatedBody | None = None) -> Repaired:
-    """Mend every mendable fault of a garment.
+    """Repair every repairable fault of a garment.
 
     Polygons and UVs are kept; vertex order too, unless vertices had to be welded or dropped. No more pairs of triangles
     cross than before.
 
     Args:
         source: the garment.
-        body: who wears it; without a body only the mesh itself is mended.
+        body: the body that wears it; without a body only the mesh itself is repaired.
     """
     changes, remarks = list[str](), list[str]()
     if not len(SourceSurface.of(source).faces):
@@ -75,7 +75,7 @@ def _moved(source: PolygonMesh, body: RestBody, changes: list[str], remarks: lis
     if fit.is_identity:
         return source
     if fit.is_unsure:
-        remarks.append("It was not moved: where on the body it belongs cannot be found out from its shape.")
+        remarks.append("It was not moved: its shape does not show where on the body it belongs.")
         return source
     if fit.unit != "metres":
         changes.append(f"Scaled by {UNITS[fit.unit]:g}, from {fit.unit} to metres.")
@@ -84,7 +84,7 @@ def _moved(source: PolygonMesh, body: RestBody, changes: list[str], remarks: lis
     if fit.shift.any():
         changes.append(f"Moved by {fit.move} on to the body, {1000 * fit.misfit:.0f} mm off on average.")
     if fit.front_alike:
-        remarks.append(f"Front and back fit alike: {fit.axes} was taken, {fit.front_alike[0]} is as likely.")
+        remarks.append(f"Front and back fit equally well: {fit.axes} was chosen, {fit.front_alike[0]} is as likely.")
     return replace(source, vertices=fit.apply(source.vertices))
 
 
@@ -94,7 +94,7 @@ def _without_parts(source: PolygonMesh, body: RestBody | None, changes: list[str
     on = sewn_on(surface)
     if on.any():
         source, count = _without(source, surface, on)
-        changes.append(f"Took off {count} faces that were sewn on, as a pocket or a flap is.")
+        changes.append(f"Removed {count} faces of parts sewn on, such as pockets or flaps.")
         surface = SourceSurface.of(source)
     if not is_double(surface):
         return source
@@ -102,7 +102,7 @@ def _without_parts(source: PolygonMesh, body: RestBody | None, changes: list[str
     inner = inner_layer(surface, heights)
     single, count = _without(source, surface, inner)
     if not inner.any() or is_double(SourceSurface.of(single)):
-        remarks.append("Its cloth stays double: no inner layer could be told from an outer one.")
+        remarks.append("Its cloth stays double: the inner layer could not be distinguished from the outer one.")
         return source
     changes.append(f"Kept the outer layer of its cloth, and dropped {count} faces.")
     return single
@@ -135,7 +135,9 @@ def _welded(source: PolygonMesh, changes: list[str], remarks: list[str]) -> Poly
         remarks.append("Seams were left open: welded, more than two faces would share an edge.")
         return source
     if len(surface.topology.boundary_loops) and not len(joined.boundary_loops):
-        remarks.append("Seams were left open: welded, the garment would have no opening; is every face there twice?")
+        remarks.append(
+            "Seams were left open: welded, the garment would have no opening; check whether every face exists twice."
+        )
         return source
     changes.append(f"Welded {len(surface.unwelded)} border vertices.")
     lines = None if source.lines is None else target[source.lines]
@@ -157,7 +159,7 @@ def _without_waste(source: PolygonMesh, changes: list[str]) -> PolygonMesh:
             if uvs is not None:
                 uvs[k] = uvs[k][distinct]
     if dropped:
-        changes.append(f"Dropped {dropped} face(s) without area or there twice.")
+        changes.append(f"Dropped {dropped} face(s) without area or repeated.")
     used = np.unique(np.concatenate(polygons)) if polygons else np.zeros(0, dtype=np.int64)
     if len(used) < len(source.vertices):
         changes.append(f"Dropped {len(source.vertices) - len(used)} vertices that no face uses.")
@@ -215,8 +217,8 @@ def _pushed_out(source: PolygonMesh, body: RestBody, changes: list[str], remarks
         still = body.signed_distances(untangled.vertices) < 0.0
         if len(untangled.crossings) > before or still.sum() >= inside.sum():
             remarks.append(
-                f"{int(inside.sum())} vertices stay inside the body: pushed out, {pairs} more pairs of triangles would "
-                "cross."
+                f"{int(inside.sum())} vertices stay inside the body: pushing them out would make {pairs} more pairs "
+                "of triangles cross."
             )
             return source
         vertices = untangled.vertices
@@ -233,10 +235,10 @@ def _pushed_out(source: PolygonMesh, body: RestBody, changes: list[str], remarks
 
 
 def push_out(vertices: np.ndarray, topology: Topology, body: RestBody) -> np.ndarray:
-    """Cloth moved to at least `CLEARANCE` outside a closed body, where the body's creases leave room for it.
+    """Cloth moved to at least `CLEARANCE` outside a closed body, if the body's creases leave room.
 
     Vertices too near are projected out, the displacement is spread over the neighbouring cloth so that it does not
-    crease, and what this brings back in is projected again. Middles of edges are held outside too while this lasts.
+    crease, and what this brings back in is projected again. Middles of edges are kept outside too.
 
     Args:
         vertices: (vertices, 3) of the garment [m].

@@ -15,16 +15,16 @@ from pb4u.geometry.mesh_file import PolygonMesh
 
 
 def remeshed(garment: Garment, triangles: int | None) -> Garment:
-    """The garment with about `triangles` triangles; its parts, pins, skinning and author's mesh are found again.
+    """The garment with about `triangles` triangles; its parts, pins, skinning and author's mesh are transferred.
 
     UVs and images stay with the author's mesh, to which exports go back.
 
     Args:
-        garment: whose `vertices` are its rest shape.
-        triangles: wanted number; None, or as many as it has, for the garment as it is.
+        garment: its `vertices` are its rest shape.
+        triangles: wanted number; None, or the present number, returns the garment unchanged.
 
     Raises:
-        InputError: less than one triangle, or a garment of flat pieces, whose grain a new mesh would not know.
+        InputError: less than one triangle, or a garment of flat pieces, whose grain a new mesh would lose.
     """
     if triangles is None or triangles == garment.triangle_count:
         return garment
@@ -32,8 +32,8 @@ def remeshed(garment: Garment, triangles: int | None) -> Garment:
         raise InputError(f"The number of triangles must be 1 or more, not {triangles}.")
     if garment.rest_uv is not None:
         raise InputError(
-            f"{garment.name} is sewn of flat panels, and is not remeshed as it hangs; cut or dress it anew "
-            f"with {triangles} triangles."
+            f"{garment.name} is sewn of flat panels, so it cannot be remeshed once worn; dress it again with "
+            f"{triangles} triangles."
         )
     vertices, faces = remesh(garment.vertices, garment.faces, triangles)
 
@@ -65,7 +65,7 @@ def remeshed(garment: Garment, triangles: int | None) -> Garment:
 
 
 def map_to_same(source: PolygonMesh, simulated: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> SourceMap:
-    """Source map of a mesh that holds some vertices of its source, in order; others keep to it.
+    """Source map of a mesh that contains some vertices of its source, in order; the others are attached to it.
 
     Args:
         source: the author's mesh.
@@ -86,7 +86,7 @@ def map_to_same(source: PolygonMesh, simulated: np.ndarray, vertices: np.ndarray
 
 
 def nearest_places(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places of a mesh that are nearest to some points.
+    """Points of a mesh nearest to given points.
 
     Args:
         points: (points, 3) [m].

@@ -32,7 +32,7 @@ class SourceSurface:
 
     Args:
         source: the author's mesh.
-        corners: (triangles, 3) int64 into the polygon corners laid end to end.
+        corners: (triangles, 3) int64 into the concatenated polygon corners.
         polygon: (triangles,) int64 the polygon of each triangle.
     """
 
@@ -106,12 +106,13 @@ class SourceSurface:
 
     @cached_property
     def weld_target(self) -> np.ndarray:
-        """Indices (vertices,) int64 of the vertices welded to: of a border vertex the lowest in its place, else itself.
+        """Indices (vertices,) int64 of the vertices to weld to: for a border vertex the lowest coincident one, else
+        itself.
 
         Vertices that share an edge are never joined, however short the edge is.
 
         Raises:
-            InputError: so many lie in one place that their pairs cannot be gone through.
+            InputError: too many vertices coincide for all their pairs to be tested.
         """
         vertices, topology = self.source.vertices, self.topology
         border = np.flatnonzero(topology.border_vertices)
@@ -121,7 +122,8 @@ class SourceSurface:
         tree = cKDTree(vertices[border])
         if (count := int(tree.count_neighbors(tree, _SAME_PLACE))) > _MOST_COINCIDENT * len(border):
             raise InputError(
-                f"{len(border)} border vertices lie in the same places, {count // len(border)} in each on average; "
+                f"{len(border)} border vertices share their positions, {count // len(border)} vertices at each on "
+                "average; "
                 "merge vertices by distance in the program it comes from."
             )
         pairs = np.sort(border[tree.query_pairs(_SAME_PLACE, output_type="ndarray")], axis=1)
@@ -134,7 +136,7 @@ class SourceSurface:
 
     @property
     def unwelded(self) -> np.ndarray:
-        """Indices (n,) int64 of vertices that lie on another of the border."""
+        """Indices (n,) int64 of border vertices that coincide with another one."""
         return np.flatnonzero(self.weld_target != np.arange(len(self.weld_target)))
 
     @property
@@ -144,7 +146,7 @@ class SourceSurface:
 
     @property
     def unsewn(self) -> np.ndarray:
-        """Ends (lines, 2) int64 of the lines of the file that join faces and are no edge of one: threads of a seam."""
+        """Ends (lines, 2) int64 of the file's lines that join faces without being an edge of one: sewing threads."""
         lines = self.source.lines
         if lines is None or not len(lines):
             return np.zeros((0, 2), dtype=np.int64)
@@ -164,7 +166,7 @@ class SourceSurface:
     def extra_faces(self) -> np.ndarray:
         """Indices (n,) int64 of polygons to delete so that no edge has more than two faces.
 
-        They are those of the smaller parts that meet at such an edge.
+        They belong to the smaller parts at such an edge.
         """
         topology = self.topology
         counts, face_edges = topology.edge_face_counts, topology.face_edges
@@ -183,12 +185,14 @@ class SourceSurface:
 
     @property
     def double(self) -> np.ndarray:
-        """Mask (faces,) bool of faces close to another layer that looks the other way: lining, or back of a shell."""
+        """Mask (faces,) bool of faces close to another layer with the opposite normal: lining, or the back of a
+        shell."""
         return self.opposite >= 0
 
     @cached_property
     def opposite(self) -> np.ndarray:
-        """Face (faces,) int64 of the other layer across each face, the nearest one; -1 where the cloth lies single."""
+        """Face (faces,) int64 of the other layer across each face, the nearest one; -1 where the cloth has one
+        layer."""
         corners = self.source.vertices[self.faces]
         centres = corners.mean(axis=1)
         normals = face_cross_products(self.source.vertices, self.faces)

@@ -44,11 +44,11 @@ def _resting(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> np.ndar
 
 
 class Strap(NamedTuple):
-    """Cloth that goes over a shoulder and ends loose.
+    """Cloth that passes over a shoulder and has a loose end.
 
     Args:
         end: (n,) int64 vertices at its end.
-        gap: distance [m] from there to the garment that it hangs on.
+        gap: distance [m] from that end to the garment.
         tacks: pairs of vertices that sew it on; none where it ends too far away.
     """
 
@@ -116,14 +116,14 @@ def _strap(
 
 
 class Support(NamedTuple):
-    """What holds a garment up.
+    """The part of a garment that holds it up.
 
     Args:
         name: "shoulders", "straps", "waistband" or "collar"; None for nothing.
-        area: cloth that lies on the shoulders, or on other skin of the upper part that faces up [m^2]; what hangs on it
-            on one side alone, such as a strap whose end is loose, does not count.
-        held: (vertices,) bool, the straps, the waistband or the collar, which cannot hold unless it is pinned; None for
-            shoulders or nothing.
+        area: cloth that lies on the shoulders, or on other skin of the upper part that faces up [m^2]; cloth that is
+            connected on one side only, such as a strap with a loose end, does not count.
+        held: (vertices,) bool, vertices of the straps, waistband or collar, which hold the garment only if pinned; None
+            for shoulders or nothing.
         loose: straps that end unsewn beyond the shoulder.
     """
 
@@ -136,9 +136,9 @@ class Support(NamedTuple):
 def find_support(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Support:
     """Shoulders, straps too narrow to stay on them by friction, the collar of an open front, or a border at the waist.
 
-    A real waistband is elastic or buttoned, and straps are sewn on under tension; cloth alone is neither. Nor does
-    anything keep the halves of an open front from parting and sliding down the arms: who wears them does. A bodice that
-    fits closely far above the waist can hold without shoulders all the same; that is not seen here.
+    A real waistband is elastic or buttoned, and straps are sewn on under tension; plain simulated cloth has neither.
+    Nor does anything keep the halves of an open front from sliding down the arms; in life the wearer does. A bodice
+    that fits closely far above the waist can hold without shoulders all the same; that is not seen here.
 
     Args:
         vertices: (vertices, 3) of the garment where it is worn [m].

@@ -24,9 +24,9 @@ class Fault(NamedTuple):
 
     Args:
         code: short fixed name.
-        sentence: what and where.
+        sentence: the fault and its place.
         fix: how to mend it.
-        meanwhile: what is done about it when the mesh is simulated as it is.
+        meanwhile: how a simulation of the unrepaired mesh handles it.
         mendable: whether `repair` mends it.
         faces: indices of the author's polygons concerned.
         vertices: indices of the author's vertices concerned.
@@ -58,34 +58,42 @@ def surface_faults(surface: SourceSurface) -> list[Fault]:
     faults = []
     if len(edges := topology.non_manifold_edges):
         extra, on = surface.extra_faces, sewn_on(surface)
-        sentence = f"{len(edges)} edge(s) are shared by three or more faces, first {first(edges)} (pairs of vertices)."
+        sentence = (
+            f"{len(edges)} edge(s) are shared by three or more faces, the first {first(edges)} (pairs of vertices)."
+        )
         fix = f"delete the faces {first(extra)}"
         if on.any():
             extra = np.unique(surface.polygon[surface.kept[on]])
-            sentence = f"{sentence[:-1]}: {len(extra)} faces are sewn on there, as a pocket or a flap is."
-            fix = "take them off, or part them from the cloth where it was made"
+            sentence = f"{sentence[:-1]}: {len(extra)} faces are sewn on there, such as a pocket or a flap."
+            fix = "remove them, or separate them from the cloth in the program it comes from"
         faults.append(Fault("non-manifold", sentence, fix, "", bool(on.any()), extra, edges, is_refused=True))
     if len(collapsed := surface.polygon[surface.collapsed & ~surface.repeated]):
-        sentence = f"{len(collapsed)} triangle(s) have no area, first {first(collapsed)}."
+        sentence = f"{len(collapsed)} triangle(s) have no area, the first {first(collapsed)}."
         faults.append(Fault("degenerate", sentence, "drop them", "they are left out", True, collapsed))
     if len(repeated := surface.polygon[surface.repeated]):
-        sentence = f"{len(repeated)} face(s) are there twice, first {first(repeated)}."
+        sentence = f"{len(repeated)} face(s) exist twice, the first {first(repeated)}."
         faults.append(Fault("duplicate", sentence, "drop them", "they are left out", True, repeated))
     if len(isolated := topology.isolated_vertices):
-        sentence = f"{len(isolated)} vertices belong to no face, first {first(isolated)}."
+        sentence = f"{len(isolated)} vertices belong to no face, the first {first(isolated)}."
         meanwhile = "they are not simulated, and follow the nearest cloth in exports"
         faults.append(Fault("isolated", sentence, "drop them", meanwhile, True, vertices=isolated))
     if len(loose := surface.unwelded):
-        sentence = f"{len(loose)} border vertices lie on top of others, first {first(loose)}: a seam that will open."
+        sentence = (
+            f"{len(loose)} border vertices coincide with others, the first {first(loose)}: a seam that will open."
+        )
         faults.append(Fault("unwelded", sentence, "weld them", "", True, vertices=loose))
     threads = sewable_threads(surface)
     if (count := _pieces(surface, threads)) > 1:
         sentence = f"The garment is in {count} pieces that nothing holds together."
-        fix = "weld the seams between them" if len(loose) else "join them where they were made, or delete all but one"
+        fix = (
+            "weld the seams between them"
+            if len(loose)
+            else "join them in the program they come from, or delete all but one"
+        )
         if (gap := gap_between(surface)) is not None and gap.pairs:
             along = f"{gap.pairs} vertices of their borders face each other {1000 * gap.along:.2g} mm apart"
             sentence = f"{sentence[:-1]}: {along}."
-            fix = f"merge vertices within {1000 * gap.along * 1.5:.2g} mm where it was made"
+            fix = f"merge vertices within {1000 * gap.along * 1.5:.2g} mm in the program it comes from"
         elif gap is not None:
             sentence = f"{sentence[:-1]}, {100 * gap.nearest:.2g} cm apart at the nearest."
         faults.append(Fault("pieces", sentence, fix, mendable=bool(len(loose))))
@@ -93,26 +101,26 @@ def surface_faults(surface: SourceSurface) -> list[Fault]:
         ends = surface.source.vertices[threads]
         longest = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max()
         sentence = f"{len(threads)} lines of its file are threads of seams, up to {100 * longest:.2g} cm long."
-        fix, sewing = "none is needed: they are sewn", "they are sewn, both ends as one vertex halfway between"
+        fix, sewing = "none is needed: they are sewn", "they are sewn: both ends are merged at their midpoint"
         faults.append(Fault("threads", sentence, fix, sewing, vertices=np.unique(threads), is_note=True))
     if len(lines := surface.unsewn) > len(threads):
         lines = lines[~(lines[:, None] == threads).all(axis=2).any(axis=1)]
-        sentence = f"{len(lines)} lines of its file join vertices as threads of a seam, first {first(lines)}."
+        sentence = f"{len(lines)} lines of its file join vertices like threads of a seam, the first {first(lines)}."
         fix = (
             f"they are not sewn, since they are longer than {100 * FARTHEST:.0f} cm, end inside the cloth, or would "
-            "fold it: bring the borders together where it was made, or give it as a pattern"
+            "fold it: bring the borders together in the program it comes from, or give it as a pattern"
         )
         faults.append(Fault("unsewn", sentence, fix, vertices=np.unique(lines)))
     if len(turned := surface.turned_over):
-        sentence = f"{len(turned)} face(s) are turned over against their neighbours, first {first(turned)}."
-        faults.append(Fault("orientation", sentence, "turn them", "they are simulated turned", True, turned))
+        sentence = f"{len(turned)} face(s) are flipped relative to their neighbours, the first {first(turned)}."
+        faults.append(Fault("orientation", sentence, "flip them", "they are flipped for the simulation", True, turned))
     if not surface.flipped[1]:
         sentence = "The cloth has only one side, like a Moebius strip."
-        faults.append(Fault("one-sided", sentence, "cut it open where it is twisted"))
+        faults.append(Fault("one-sided", sentence, "cut it open at the twist"))
     if is_double(surface):
         share = surface.double.mean()
         polygons = surface.polygon[surface.kept[surface.double]]
-        sentence = f"{100 * share:.0f}% of the cloth lies double, back to back, first faces {first(polygons)}."
+        sentence = f"{100 * share:.0f}% of the cloth is double, back to back, the first faces {first(polygons)}."
         faults.append(Fault("double-layer", sentence, "keep the outer layer only", mendable=True, faces=polygons))
     lengths = edge_lengths(surface.source.vertices, topology.edges)
     if lengths.std() > _GRADED * lengths.mean():
@@ -120,8 +128,8 @@ def surface_faults(surface: SourceSurface) -> list[Fault]:
         fix = f"simulate it evenly meshed with `--triangles {len(surface.faces)}`"
         faults.append(Fault("graded", sentence, fix))
     if len(bare := surface.untextured):
-        sentence = f"{len(bare)} of its {len(surface.source.polygons)} faces have no UVs, first {first(bare)}."
-        fix = "unwrap them where they were made to see images and threads there"
+        sentence = f"{len(bare)} of its {len(surface.source.polygons)} faces have no UVs, the first {first(bare)}."
+        fix = "unwrap them in the program they come from to see images and threads there"
         faults.append(Fault("no-uvs", sentence, fix, faces=bare))
     return faults
 
@@ -134,7 +142,7 @@ def _pieces(surface: SourceSurface, threads: np.ndarray) -> int:
 
 
 def is_double(surface: SourceSurface) -> bool:
-    """Whether so much of the cloth lies double that it is a shell or lined, not hemmed.
+    """Whether so much of the cloth is double that it is a shell or a lining, not a hem.
 
     Args:
         surface: the mesh.
@@ -143,7 +151,7 @@ def is_double(surface: SourceSurface) -> bool:
 
 
 def first_of(ids: np.ndarray) -> str:
-    """The first of some indices (n,), or of pairs of them (n, 2), as text.
+    """The first of some indices (n,), or of pairs of indices (n, 2), as text.
 
     Args:
         ids: (n,) or (n, 2) int64.

@@ -23,10 +23,10 @@ _ALONG, _LEAST_ALONG, _MOST_PIECES = 0.02, 3, 64
 
 
 def inner_layer(surface: SourceSurface, heights: np.ndarray | None = None) -> np.ndarray:
-    """Mask (faces,) bool of the kept triangles that go where of a double cloth the outer layer alone is kept.
+    """Mask (faces,) bool of the kept triangles to remove so that only the outer layer of double cloth remains.
 
-    They are the inner layer and the rim between the two. The outer one is farther from the body or, where there is
-    none, the larger.
+    They are the inner layer and the rim between the two. The outer one is farther from the body or, without a body, the
+    larger.
 
     Args:
         surface: the mesh.
@@ -71,9 +71,9 @@ def _smooth_parts(surface: SourceSurface) -> np.ndarray:
 
 
 def sewn_on(surface: SourceSurface) -> np.ndarray:
-    """Mask (faces,) bool of the kept triangles of small parts that hang at edges of two other faces, as pockets do.
+    """Mask (faces,) bool of the kept triangles of small parts attached at edges of two other faces, such as pockets.
 
-    Empty where what is left without them would still have such edges.
+    Empty if the rest would still have such edges.
 
     Args:
         surface: the mesh.
@@ -101,7 +101,7 @@ class Gap(NamedTuple):
 
     Args:
         nearest: distance [m] of the nearest vertices of two pieces' borders.
-        along: mean distance [m] of the borders that lie along each other; 0 where none do.
+        along: mean distance [m] of borders that run side by side; 0 without any.
         pairs: pairs of vertices at which they do.
     """
 
@@ -111,7 +111,7 @@ class Gap(NamedTuple):
 
 
 def gap_between(surface: SourceSurface) -> Gap | None:
-    """How near the borders of the pieces lie to each other, open seams welded; None where there is one piece, or many.
+    """Distance between the borders of the pieces after welding open seams; None for one piece or many.
 
     Args:
         surface: the mesh.

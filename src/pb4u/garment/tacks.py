@@ -23,15 +23,15 @@ BUTTONS_APART = 0.3
 
 
 def tacked(garment: Garment, tacks: Sequence[tuple[int, int]]) -> Garment:
-    """The garment with vertices made one, halfway between them; its triangles keep their shapes at rest.
+    """The garment with pairs of vertices merged at their midpoints; its triangles keep their rest shapes.
 
     Args:
-        garment: as it is simulated.
+        garment: as simulated.
         tacks: pairs of vertices of the author's mesh, counted from 0.
 
     Raises:
-        InputError: a vertex that does not exist or is sewn to itself, two that are too far apart, or a seam that no
-            cloth can have.
+        InputError: a vertex that does not exist or is sewn to itself, two that are too far apart, or a seam that is not
+            possible in cloth.
     """
     if not len(tacks):
         return garment
@@ -39,10 +39,11 @@ def tacked(garment: Garment, tacks: Sequence[tuple[int, int]]) -> Garment:
     count = len(garment.vertices) if source is None else len(source.source.vertices)
     if bad := [pair for pair in pairs.tolist() if not all(0 <= vertex < count for vertex in pair)]:
         raise InputError(
-            f"{garment.name}: the tack {_told(bad[0])} names a vertex that is not there; it has {count}, from 0 on."
+            f"{garment.name}: the tack {_told(bad[0])} names a vertex that does not exist; the garment has {count}, "
+            "numbered from 0."
         )
     if (alike := pairs[pairs[:, 0] == pairs[:, 1]]).size:
-        raise InputError(f"{garment.name}: the tack {_told(alike[0])} sews a vertex to itself; give two.")
+        raise InputError(f"{garment.name}: the tack {_told(alike[0])} sews a vertex to itself; give two vertices.")
     ends = pairs
     if source is not None:
         ends = garment.faces[source.triangle[pairs], source.barycentric[pairs].argmax(axis=2)]
@@ -65,18 +66,18 @@ def buttoned(garment: Garment, count: int | None) -> Garment:
     """The garment with its open front closed by buttons, each a tack at the nearest vertices.
 
     Args:
-        garment: as it is worn, with its pins and parts.
+        garment: as worn, with its pins and parts.
         count: number of buttons, from half a distance above the lower end of the front to as much below its upper one;
             None for none.
 
     Raises:
-        InputError: it is not open in front, its borders there are too far apart, or buttons are so from each other.
+        InputError: it is not open in front, or its borders there or the buttons are too far apart.
     """
     if count is None:
         return garment
     front, vertices = Parts(garment).open_front, garment.vertices
     if not len(front):
-        raise InputError(f"{garment.name} is not open in front, where buttons close a garment; leave --buttons out.")
+        raise InputError(f"{garment.name} is not open in front, so it has no place for buttons; leave out --buttons.")
     ways = vertices[front[:, 1]] - vertices[front[:, 0]]
     rise = ways[:, 1] / np.linalg.norm(ways, axis=1)
     one, other = np.unique(front[rise > 0.5]), np.unique(front[rise < -0.5])
@@ -85,23 +86,23 @@ def buttoned(garment: Garment, count: int | None) -> Garment:
     order = order[gaps[order] <= FARTHEST]
     if len(order) < 2:
         raise InputError(
-            f"{garment.name}: the borders of its front lie {100 * gaps.min():.0f} cm apart or more; buttons close what "
-            f"is within {100 * FARTHEST:.0f} cm."
+            f"{garment.name}: the borders of its front lie {100 * gaps.min():.0f} cm apart or more; buttons close "
+            f"gaps of up to {100 * FARTHEST:.0f} cm."
         )
     pairs = np.column_stack([one[order], other[facing[order]]])
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(vertices[pairs[:, 0]], axis=0), axis=1)))
     apart = along[-1] / count
     if count > 1 and apart > BUTTONS_APART:
         raise InputError(
-            f"{garment.name}: {count} buttons are {apart:.2f} m apart on its front of {along[-1]:.2f} m; give "
+            f"{garment.name}: {count} buttons would be {apart:.2f} m apart on its front of {along[-1]:.2f} m; give "
             f"{math.ceil(along[-1] / BUTTONS_APART)} or more."
         )
     chosen = pairs[np.abs(along[:, None] - apart * (np.arange(count) + 0.5)).argmin(axis=0)]
     joined = sewn(garment.faces, len(vertices), chosen)
     if joined is None or any(len(np.unique(side)) < count for side in chosen.T):
         raise InputError(
-            f"{garment.name}: {count} buttons are closer to each other than the vertices of its front; give fewer, or "
-            "more --triangles."
+            f"{garment.name}: {count} buttons would be closer to each other than the vertices of its front; give "
+            "fewer buttons, or more --triangles."
         )
     return replace(_joined(garment, *joined), buttons=joined[1][chosen[:, 0]].astype(np.int64))
 
@@ -122,7 +123,8 @@ def _joined(garment: Garment, faces: np.ndarray, name: np.ndarray) -> Garment:
 
 
 def sewn(faces: np.ndarray, size: int, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Faces (faces, 3) int64 with vertices made one, and the new name (size,) of each; None where no cloth can be so.
+    """Faces (faces, 3) int64 with merged vertices, and the new index (size,) of each; None if this is not possible in
+    cloth.
 
     Args:
         faces: (faces, 3) int64.

@@ -23,7 +23,7 @@ class Tangle:
     Args:
         garments: names of the two, inner first; the same twice where a garment crosses itself.
         pairs: number of pairs of triangles that cross, pairs that share a vertex included.
-        place: (x, y, z) of a triangle in the midst of them [m].
+        place: (x, y, z) of a triangle in the middle of them [m].
     """
 
     garments: tuple[str, str]
@@ -68,11 +68,11 @@ def tangles(
 
 @dataclass(frozen=True)
 class OutfitCrossings:
-    """Crossings of several garments, before and after they are laid over each other.
+    """Crossings of several garments, before and after layering.
 
     Args:
-        as_made: where each was made.
-        as_worn: what is left where they are worn.
+        as_made: crossings at the positions in which the garments were made.
+        as_worn: crossings left after layering.
     """
 
     as_made: tuple[Tangle, ...]
@@ -84,7 +84,7 @@ class OutfitCrossings:
 
         Args:
             garments: inner first.
-            body: who wears them.
+            body: the body that wears them.
         """
         return OutfitCrossings(
             _found(garments, [garment.vertices for garment in garments]), _found(garments, layered(garments, body))
@@ -100,18 +100,18 @@ def _found(garments: Sequence[Garment], places: Sequence[np.ndarray]) -> tuple[T
 def untangled_start(garments: Sequence[Garment], positions: np.ndarray) -> np.ndarray:
     """Positions near the given ones from which a simulation may begin: no two triangles of cloth cross.
 
-    Pinned vertices stay; of two garments the outer gives way to the inner. Parts that share no vertex keep
-    `collision_free.SMALLEST_GAP` where pins let them. A start that is free already comes back as float32 holds it.
+    Pinned vertices stay; of two garments the outer one moves. Parts that share no vertex keep
+    `collision_free.SMALLEST_GAP` where pins let them. Positions without crossings are returned rounded to float32.
 
     Args:
         garments: the garments of one world, inner first.
-        positions: (vertices, 3) of all of them, one after the other [m].
+        positions: (vertices, 3) of all garments, concatenated [m].
 
     Returns:
-        (vertices, 3) float64 [m], each one a number that float32 holds.
+        (vertices, 3) float64 [m], exactly representable in float32.
 
     Raises:
-        InputError: some of it cannot be untangled.
+        InputError: some crossings cannot be removed.
     """
     faces, owner = joined_faces(garments)
     pinned = np.concatenate([garment.pinned for garment in garments])
@@ -122,8 +122,8 @@ def untangled_start(garments: Sequence[Garment], positions: np.ndarray) -> np.nd
     remaining = tangles([garment.name for garment in garments], owner, start.vertices, faces, start.crossings)
     text = "; ".join(map(str, remaining[:3])) + (f"; and {len(remaining) - 3} more" if len(remaining) > 3 else "")
     mend = (
-        "mend it where it was made"
+        "repair it in the program it comes from"
         if all(tangle.garments[0] == tangle.garments[1] for tangle in remaining)
-        else "wear them in another order"
+        else "give the garments in another order"
     )
-    raise InputError(f"The start cannot be untangled: {text}; {mend}, or simulate with --self-contact off.")
+    raise InputError(f"The starting position cannot be untangled: {text}; {mend}, or simulate with --self-contact off.")

@@ -14,7 +14,7 @@ def textured(garment: Garment, image: bytes) -> Garment:
     """The garment wearing an image: by its UVs, or from front and back where it has none.
 
     Args:
-        garment: that wears it; where it is remeshed, its author's mesh does.
+        garment: to put it on; if it is remeshed, the image is put on its author's mesh.
         image: content of a PNG or JPEG file.
     """
     image_looks = (Appearance("texture", image=image),)

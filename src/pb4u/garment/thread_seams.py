@@ -31,7 +31,7 @@ def sewable_threads(surface: SourceSurface) -> np.ndarray:
 
 
 def drawn_together(surface: SourceSurface, threads: np.ndarray) -> PolygonMesh:
-    """The mesh with both ends of each thread as one vertex halfway between, the cloth between moving along smoothly.
+    """The mesh with both ends of each thread merged at their midpoint; the cloth around follows smoothly.
 
     Args:
         surface: the author's mesh.
@@ -56,7 +56,7 @@ def drawn_together(surface: SourceSurface, threads: np.ndarray) -> PolygonMesh:
 
 
 def with_sewn_threads(garment: Garment, surface: SourceSurface, simulated: np.ndarray) -> Garment:
-    """The garment sewn by the threads of its file; its triangles keep their shapes at rest.
+    """The garment sewn by the threads of its file; its triangles keep their rest shapes.
 
     Args:
         garment: of the author's triangles.

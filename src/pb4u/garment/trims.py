@@ -11,10 +11,10 @@ from pb4u.garment.material import Material
 
 @dataclass(frozen=True, eq=False)
 class Trims:
-    """Interfacing and elastic of the faces of a garment; of a face that has a share of them, the mean by area.
+    """Interfacing and elastic of the faces of a garment; for a face partly covered, the area-weighted mean.
 
-    Elastic gathers cloth: all of its mass lies on the length that the elastic has, and its threads do not stiffen
-    before the elastic is as long as the cloth.
+    Elastic gathers cloth: its whole mass is on the length of the elastic, and its threads do not stiffen before the
+    elastic is stretched to the length of the cloth.
 
     Args:
         interfacing: (faces,) float64 bending stiffness that is added to that of the cloth [N m].
@@ -47,11 +47,11 @@ class Trims:
         return Trims(self.interfacing[faces], self.elastic[faces])
 
     def changed(self, name: str, values: np.ndarray) -> np.ndarray:
-        """A property of the cloth with its interfacing and elastic, from that of the cloth alone, in its unit.
+        """A property of the cloth with interfacing and elastic, computed from that of the plain cloth, in its unit.
 
         Args:
             name: attribute of `Material`.
-            values: (faces,) or (faces, numbers) of the cloth alone.
+            values: (faces,) or (faces, numbers) of the plain cloth.
         """
         if name == "density":
             return values / self.elastic
@@ -65,12 +65,12 @@ class Trims:
 
 @dataclass(frozen=True)
 class SewnPart:
-    """Material and trims that were asked for on a part of a garment; None leaves them as they are there.
+    """Material and trims requested for a part of a garment; None leaves them unchanged.
 
     Args:
         name: of the part.
         material: that it is made of.
-        layers: number of them.
+        layers: number of layers.
         interfacing: bending stiffness that is added [N m].
         elastic: rest length along the border over that of the cloth.
         width: of a band [m]; None of a piece.

@@ -54,10 +54,10 @@ class Untangled:
     """Cloth after untangling.
 
     Args:
-        vertices: (vertices, 3) float64 [m], each one a number that float32 holds; of a failure, the best there was.
+        vertices: (vertices, 3) float64 [m], exactly representable in float32; after a failure, the best result.
         crossings: (pairs, 2) int64 faces that still cross, pairs that share a vertex included.
-        gap: smallest distance [m] between parts that share no vertex, as far as it is looked for: twice the asked;
-            0 where something crosses.
+        gap: smallest distance [m] between parts that share no vertex, searched up to twice the requested one; 0 if
+            something crosses.
         passes: passes made.
     """
 
@@ -75,16 +75,16 @@ class Untangled:
 def untangle(
     vertices: np.ndarray, faces: np.ndarray, mobility: np.ndarray | None = None, gap: float = SMALLEST_GAP
 ) -> Untangled:
-    """Move cloth as little as it takes until no two of its triangles cross, and its parts keep a smallest distance.
+    """Move cloth by small displacements until no two of its triangles cross and its parts keep a smallest distance.
 
-    Cloth that already does is given back as it came, rounded to float32. Where the distance cannot be had, as between
-    fixed vertices, the widest there was is given.
+    Cloth that already does is returned unchanged but rounded to float32. If the distance is not possible, as between
+    fixed vertices, the result with the largest distance is returned.
 
     Args:
         vertices: (vertices, 3) [m], finite, of one garment or of several together.
         faces: (faces, 3) int64.
         mobility: (vertices,) how readily each moves, 0 for fixed; default 1 for all.
-        gap: smallest distance [m] between parts that share no vertex; 0 looks at none.
+        gap: smallest distance [m] between parts that share no vertex; 0 for no such condition.
     """
     return _Untangling(np.asarray(vertices, dtype=np.float64), faces, mobility, gap).run()
 

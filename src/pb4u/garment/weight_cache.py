@@ -28,7 +28,7 @@ def garment_weights(garment: Garment, body: ShapedBody) -> SkinningWeights:
 
     Args:
         garment: worn by the body in its rest pose.
-        body: whose skinning weights are borrowed.
+        body: its skinning weights are used.
     """
     path = cache_folder() / "skinning" / f"{_key(garment, body)}.npz"
     weights = _read(path, len(garment.vertices), body.skeleton.bone_count)

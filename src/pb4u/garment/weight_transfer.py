@@ -31,13 +31,13 @@ _TEARING_EDGES = 4
 def borrow_weights(garment: Garment, body: ShapedBody) -> SkinningWeights:
     """Skinning weights for a garment, at most `INFLUENCES` bones a vertex.
 
-    A close garment takes the weights of the nearest skin that faces the same way. A loose one, or one that this would
-    tear between the legs, takes the mean over Gaussian samples around each vertex with the distance to the body as
-    standard deviation (reference 1.6). Both are then smoothed over the cloth, farther where the body is farther.
+    A close garment takes the weights of the nearest skin that faces the same way. A loose garment, or one that this
+    would tear between the legs, takes the mean over Gaussian samples around each vertex with the distance to the body
+    as standard deviation (reference 1.6). Both are then smoothed over the cloth, farther where the body is farther.
 
     Args:
         garment: worn by the body in its rest pose.
-        body: whose skinning weights are borrowed.
+        body: its skinning weights are used.
     """
     # Hands, and skin inside other skin, must not drag cloth along.
     hands = hand_bones(body.skeleton.names, body.skeleton.parents)
@@ -63,7 +63,7 @@ def borrow_weights(garment: Garment, body: ShapedBody) -> SkinningWeights:
 
 
 def diffuse(garment: Garment, values: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """Values spread over the cloth: one implicit step of heat flow.
+    """Values diffused over the cloth: one implicit step of heat flow.
 
     Every result is a mean of the values around it, so rows that sum to 1 still do, whatever the triangles look like.
 

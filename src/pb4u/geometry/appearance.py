@@ -27,9 +27,9 @@ class Appearance:
     """How some faces look.
 
     Args:
-        name: what its author called it.
+        name: as given by its author.
         colour: red, green and blue, sRGB [0 to 1]; multiplies the image.
-        image: content of a PNG or JPEG file laid on by the UVs, v upward; or None.
+        image: content of a PNG or JPEG file mapped by the UVs, v upward; or None.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Appearances:
 
     Args:
         listed: each appearance once.
-        of_face: (faces,) int64 which of them each face, or polygon, has; -1 for none.
+        of_face: (faces,) int64 index of the appearance of each face, or polygon; -1 for none.
     """
 
     listed: tuple[Appearance, ...]
@@ -53,7 +53,7 @@ class Appearances:
         """Appearances of a selection of the faces.
 
         Args:
-            faces: (faces,) int64 the face that each takes its appearance from.
+            faces: (faces,) int64 the face from which each takes its appearance.
         """
         return replace(self, of_face=self.of_face[faces])
 
@@ -144,10 +144,10 @@ def sound_image(content: bytes, name: str) -> bytes:
 
     Args:
         content: of a file.
-        name: what the image is called in a refusal.
+        name: name of the image for error messages.
 
     Raises:
-        InputError: it is no image that can be read.
+        InputError: it is not an image that can be read.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -156,7 +156,7 @@ def sound_image(content: bytes, name: str) -> bytes:
             image.load()
             return content if image.format in ("PNG", "JPEG") else _as_png(image)
     except UnidentifiedImageError:
-        raise InputError(f"{name} is no image, or a damaged one; save it as PNG or JPEG.") from None
+        raise InputError(f"{name} is not an image, or a damaged one; save it as PNG or JPEG.") from None
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise InputError(f"{name} cannot be read as an image ({error}); save it as PNG or JPEG.") from None
 
@@ -169,7 +169,7 @@ def _as_png(image: Image.Image) -> bytes:
 
 
 def read_mtl(path: Path) -> dict[str, Appearance]:
-    """The appearances of an MTL file by name: Kd, or map_Kd alone where there is one; warns of what cannot be read.
+    """The appearances of an MTL file by name: map_Kd if present, else Kd; warns of entries that cannot be read.
 
     Args:
         path: the file.
@@ -225,7 +225,7 @@ def _with_colour(appearance: Appearance, mtl: Path, rest: str) -> Appearance:
     except ValueError:
         red = green = blue = np.nan
     if not np.isfinite([red, green, blue]).all():
-        warn(f"{mtl.name}: the colour Kd {rest[:60]} is not three numbers; it is left out.")
+        warn(f"{mtl.name}: the colour Kd {rest[:60]} is not three numbers; it is ignored.")
         return appearance
     return replace(appearance, colour=(red, green, blue))
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def closest_barycentric(points: Tensor, a: Tensor, b: Tensor, c: Tensor) -> Tensor:
-    """Barycentric coordinates of the point of each triangle that is closest to a point of its own.
+    """Barycentric coordinates of the closest point of each triangle to a given point, one point for each triangle.
 
     By Voronoi regions of corners, edges and face (Ericson, Real-Time Collision Detection, 5.1.5); a degenerate
     triangle counts as its edges.

@@ -52,7 +52,7 @@ def split_long_edges(
 def split_edges(
     vertices: np.ndarray, faces: np.ndarray, mesh: Topology, marked: np.ndarray, locked: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Halve the edges that are marked; the new vertices come after the old, in the order of their edges.
+    """Split the marked edges in half; the new vertices follow the old ones, in the order of their edges.
 
     Args:
         vertices: (vertices, 3) [m].
@@ -105,8 +105,8 @@ def collapse_short_edges(
         vertices: (vertices, 3) [m].
         faces: (faces, 3) int64.
         shortest: length below which an edge is removed [m].
-        longest: no edge longer than this is made [m].
-        locked: (vertices,) bool, those that stay; border vertices slide along the border only.
+        longest: largest length of a new edge [m].
+        locked: (vertices,) bool, vertices that do not move; border vertices slide only along the border.
         turn: number of the pass: each tries other edges first.
 
     Returns:
@@ -253,7 +253,8 @@ def _distinct(keys: np.ndarray) -> np.ndarray:
 
 
 def flip_edges(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]:
-    """Flip edges, in one pass, where it brings valences nearer to 6 (4 on the border), or else fattens triangles.
+    """Flip edges, in one pass, where this brings valences nearer to 6 (4 on the border), or else improves thin
+    triangles.
 
     Args:
         vertices: (vertices, 3) [m].
@@ -316,7 +317,7 @@ def relax(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray) -> np.nda
     Args:
         vertices: (vertices, 3) [m].
         faces: (faces, 3) int64.
-        locked: (vertices,) bool, those that stay.
+        locked: (vertices,) bool, vertices that do not move.
 
     Returns:
         (vertices, 3) [m].

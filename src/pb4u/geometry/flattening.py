@@ -15,16 +15,16 @@ _ROUNDS = 30
 
 
 def flattened(vertices: np.ndarray, faces: np.ndarray, ease: float = 0.0) -> np.ndarray | None:
-    """A piece of surface laid flat, each triangle as nearly in its own shape as its neighbours let it.
+    """A piece of surface flattened so that each triangle keeps its shape as nearly as its neighbours allow.
 
     Least squares conformal maps (Levy et al. 2002) are the start; fits of each triangle and of all follow in turn (as
-    rigid as possible, Liu et al. 2008). With ease, part of what comes out larger than on the surface stays so: there
-    cloth that is worn folds, and elsewhere it is stretched the less.
+    rigid as possible, Liu et al. 2008). With ease, triangles that come out larger than on the surface partly stay so:
+    there worn cloth folds, and the rest is stretched less.
 
     Args:
         vertices: (vertices, 3) of the surface [m], all of them used.
         faces: (faces, 3) int64, one piece with a border.
-        ease: share of what is too large that stays, from 0 to below 1.
+        ease: share of the excess size that stays, from 0 to below 1.
 
     Returns:
         (vertices, 2) [m], turned anyhow; None where triangles fold over, or are strained by a fifth in the mean.

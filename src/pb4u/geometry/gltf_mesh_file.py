@@ -40,7 +40,7 @@ def read_gltf_mesh(path: Path) -> PolygonMesh:
         path: the .glb or .gltf.
 
     Raises:
-        InputError: it is no glTF, is compressed by Draco or meshopt, is damaged, or has no faces.
+        InputError: it is not a glTF file, is compressed by Draco or meshopt, is damaged, or has no faces.
     """
     file = read_gltf(path)
     with refusing(path, "cannot be read as a mesh"):

@@ -20,7 +20,7 @@ def node_order(file: GltfFile) -> tuple[np.ndarray, tuple[int, ...]]:
         file: a glTF file.
 
     Raises:
-        ValueError: a node has two parents, or nodes hang on each other in a circle.
+        ValueError: a node has two parents, or the hierarchy has a cycle.
     """
     entries = file.entries("nodes")
     parents = np.full(len(entries), -1, dtype=np.int64)
@@ -36,18 +36,18 @@ def node_order(file: GltfFile) -> tuple[np.ndarray, tuple[int, ...]]:
         order.append(node)
         waiting += entries[node].get("children", ())
     if len(order) < len(entries):
-        raise ValueError("its nodes hang on each other in a circle, or one has two parents")
+        raise ValueError("the hierarchy of its nodes has a cycle, or a node with two parents")
     return parents, tuple(order)
 
 
 def node_transforms(file: GltfFile) -> np.ndarray:
-    """Transforms (nodes, 4, 4) of the nodes to the scene as they stand, lengths in the file's unit.
+    """Transforms (nodes, 4, 4) of the nodes to the scene in the file's pose, lengths in the file's unit.
 
     Args:
         file: a glTF file.
 
     Raises:
-        ValueError: a node has two parents or no finite place, or nodes hang on each other in a circle.
+        ValueError: a node has two parents or no finite position, or the hierarchy has a cycle.
     """
     parents, order = node_order(file)
     entries = file.entries("nodes")
@@ -55,7 +55,7 @@ def node_transforms(file: GltfFile) -> np.ndarray:
     for node in order:
         transform = _transform(entries[node])
         if not np.isfinite(transform).all():
-            raise ValueError(f"node {node} has no finite place")
+            raise ValueError(f"node {node} has no finite position")
         result[node] = transform if parents[node] < 0 else result[parents[node]] @ transform
     return result
 
@@ -96,7 +96,7 @@ def read_skins(file: GltfFile, used: set[int]) -> tuple[dict[int, list[int]], di
 
 
 def influences(file: GltfFile, attributes: dict[str, int], vertices: int, joints: int) -> tuple[np.ndarray, np.ndarray]:
-    """What moves the vertices of a primitive: places in the list of the skin's joints, and weights that sum to 1.
+    """Skinning of the vertices of a primitive: indices into the skin's joints, and weights that sum to 1.
 
     Args:
         file: a glTF file.
@@ -108,16 +108,16 @@ def influences(file: GltfFile, attributes: dict[str, int], vertices: int, joints
         (vertices, influences) int64, and (vertices, influences) float64 [1].
 
     Raises:
-        ValueError: a vertex hangs on a joint that is not there, or has no weight.
+        ValueError: a vertex is bound to a missing joint, or has no weight.
     """
     sets = range(sum(name.startswith("JOINTS_") for name in attributes))
     places = np.concatenate([file.array(attributes[f"JOINTS_{k}"]) for k in sets], axis=1).astype(np.int64)
     weights = np.concatenate([file.array(attributes[f"WEIGHTS_{k}"]) for k in sets], axis=1).astype(np.float64)
     if len(places) != vertices or places.min() < 0 or places.max() >= joints or weights.shape != places.shape:
-        raise ValueError("a vertex hangs on a bone that is not there")
+        raise ValueError("a vertex is bound to a bone that does not exist")
     total = weights.sum(axis=1, keepdims=True)
     if (weights < 0.0).any() or not (total > 0.0).all():
-        raise ValueError("a vertex has no finite place, or no weight")
+        raise ValueError("a vertex has no finite position, or no weight")
     return places, weights / total
 
 
@@ -126,17 +126,18 @@ def placed(
 ) -> tuple[np.ndarray, bool]:
     """Vertices of a primitive where the scene has them, and whether it mirrors them.
 
-    A skin moves them by its joints alone, wherever the node of the mesh stands; without one they move with the node.
+    With a skin only its joints move them, whatever the transform of the mesh's node; without one they move with the
+    node.
 
     Args:
         file: a glTF file.
-        node: that the mesh hangs on.
+        node: the node of the mesh.
         attributes: of the primitive.
         still: (nodes, 4, 4) as `node_transforms` gives them.
         positions: (vertices, 3) as the primitive has them.
 
     Raises:
-        ValueError: the skin has no bind pose, or a vertex hangs on no joint of it.
+        ValueError: the skin has no bind pose, or a vertex is bound to none of its joints.
     """
     skin = file.entries("nodes")[node].get("skin")
     if skin is None or "JOINTS_0" not in attributes:

@@ -75,7 +75,7 @@ class ImplicitSurface:
     """The part of {shape = 0} where cut < 0; outside is where the shape field is positive.
 
     Args:
-        lattice: where the fields are sampled.
+        lattice: sample points of the fields.
         shape: field (nx, ny, nz) [m], about a distance near its zero set.
         cut: field (nx, ny, nz) [m], about a distance near its zero set, or None for a closed surface.
     """
@@ -105,7 +105,7 @@ class ImplicitSurface:
         return points
 
     def project_border(self, points: np.ndarray) -> np.ndarray:
-        """Points (n, 3) [m] moved by the shortest way on to the trimming curves, where both fields vanish.
+        """Points (n, 3) [m] projected to the nearest points of the trimming curves, where both fields vanish.
 
         Args:
             points: (n, 3) [m] near the border.

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def is_sampled_enough(frames: int, fps: float, cutoff: float) -> bool:
-    """Whether frames are so many and so close that `low_passed` can tell what is faster than `cutoff`.
+    """Whether frames are numerous and close enough for `low_passed` to separate frequencies above `cutoff`.
 
     Args:
         frames: number of frames.
@@ -17,12 +17,12 @@ def is_sampled_enough(frames: int, fps: float, cutoff: float) -> bool:
 
 
 def low_passed(values: np.ndarray, fps: float, cutoff: float) -> np.ndarray:
-    """Values without what is faster than `cutoff`: a Butterworth filter forwards and backwards, which delays nothing.
+    """Values without frequencies above `cutoff`: a Butterworth filter forwards and backwards, without delay.
 
     Args:
         values: (frames, ...) in any unit, sampled enough.
         fps: frames per second.
-        cutoff: frequency from which on they are taken out [Hz].
+        cutoff: frequency above which they are removed [Hz].
 
     Returns:
         (frames, ...) in the same unit.

@@ -12,12 +12,12 @@ def as_numbers(owner: str, what: str, values: ArrayLike) -> np.ndarray:
     """Values as an array of numbers.
 
     Args:
-        owner: what they belong to, for the message.
+        owner: name of the object they belong to, for the message.
         what: name of the values, for the message.
         values: array, or lists of equal length.
 
     Raises:
-        InputError: they are no numbers, or lists of different lengths.
+        InputError: they are not numbers, or lists of different lengths.
     """
     try:
         array = np.asarray(values)
@@ -32,7 +32,7 @@ def checked_vertices(owner: str, vertices: ArrayLike) -> np.ndarray:
     """Vertices (vertices, 3) float64 [m].
 
     Args:
-        owner: what they belong to, for the message.
+        owner: name of the object they belong to, for the message.
         vertices: array or lists of that shape.
 
     Raises:
@@ -41,10 +41,10 @@ def checked_vertices(owner: str, vertices: ArrayLike) -> np.ndarray:
     array = as_numbers(owner, "vertices", vertices)
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):
         turned = "; transpose them" if array.ndim == 2 and array.shape[0] == 3 else ""
-        raise InputError(f"{owner}: its vertices have the shape {array.shape}, where (vertices, 3) belongs{turned}.")
+        raise InputError(f"{owner}: its vertices have the shape {array.shape}; it must be (vertices, 3){turned}.")
     bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if len(bad):
-        raise InputError(f"{owner}: {len(bad)} vertices are NaN or infinite, first {bad[:5].tolist()}.")
+        raise InputError(f"{owner}: {len(bad)} vertices are NaN or infinite, the first of them {bad[:5].tolist()}.")
     return array.astype(np.float64, copy=False)
 
 
@@ -52,18 +52,18 @@ def checked_faces(owner: str, faces: ArrayLike, count: int, what: str = "faces")
     """Faces (faces, 3) int64.
 
     Args:
-        owner: what they belong to, for the message.
+        owner: name of the object they belong to, for the message.
         faces: array or lists of that shape.
         count: number of points that they may name, from 0.
         what: name of the faces, for the message.
 
     Raises:
-        InputError: another shape, no whole numbers, or a vertex that is not there.
+        InputError: another shape, no whole numbers, or a vertex that does not exist.
     """
     array = as_numbers(owner, what, faces)
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):
         cut = "; cut each quad into two triangles" if array.ndim == 2 and array.shape[1] == 4 else ""
-        raise InputError(f"{owner}: its {what} have the shape {array.shape}, where (faces, 3) belongs{cut}.")
+        raise InputError(f"{owner}: its {what} have the shape {array.shape}; it must be (faces, 3){cut}.")
     if array.dtype.kind not in "iu":
         raise InputError(f"{owner}: its {what} must be whole numbers, not {array.dtype}.")
     bad = np.flatnonzero(((array < 0) | (array >= count)).any(axis=1))
@@ -76,17 +76,17 @@ def checked_uvs(owner: str, uvs: ArrayLike, uv_faces: ArrayLike, faces: int) -> 
     """UV points (uv points, 2) and the corners of faces among them, (faces, 3) int64.
 
     Args:
-        owner: what they belong to, for the message.
+        owner: name of the object they belong to, for the message.
         uvs: array or lists of that shape.
         uv_faces: array or lists of that shape.
         faces: number of faces.
 
     Raises:
-        InputError: another shape, no whole numbers, or a point that is not there.
+        InputError: another shape, no whole numbers, or a point that does not exist.
     """
     points = as_numbers(owner, "uvs", uvs)
     if points.ndim != 2 or points.shape[1] != 2:
-        raise InputError(f"{owner}: its uvs have the shape {points.shape}, where (uv points, 2) belongs.")
+        raise InputError(f"{owner}: its uvs have the shape {points.shape}; it must be (uv points, 2).")
     corners = checked_faces(owner, uv_faces, len(points), "uv_faces")
     if len(corners) != faces:
         raise InputError(f"{owner}: it has {len(corners)} uv_faces for {faces} faces.")
@@ -94,21 +94,21 @@ def checked_uvs(owner: str, uvs: ArrayLike, uv_faces: ArrayLike, faces: int) -> 
 
 
 def checked_places(owner: str, what: str, places: ArrayLike, rows: int, count: int) -> np.ndarray:
-    """Places (rows,) int64 in a list.
+    """Indices (rows,) int64 into a list.
 
     Args:
-        owner: what they belong to, for the message.
-        what: name of the places, for the message.
-        places: array or list of that shape.
-        rows: number of places.
+        owner: name of the object they belong to, for the message.
+        what: name of the indices, for the message.
+        places: indices, an array or list of that shape.
+        rows: number of indices.
         count: entries of the list.
 
     Raises:
-        InputError: another shape, no whole numbers, or an entry that is not there.
+        InputError: another shape, no whole numbers, or an index out of range.
     """
     array = as_numbers(owner, what, places)
     if array.shape != (rows,) or array.dtype.kind not in "iu":
-        raise InputError(f"{owner}: {what} is a whole number for each of its {rows} faces.")
+        raise InputError(f"{owner}: {what} must hold a whole number for each of its {rows} faces.")
     if rows and (array.min() < 0 or array.max() >= count):
         raise InputError(f"{owner}: {what} has {array.min()} to {array.max()}; entries run from 0 to {count - 1}.")
     return array.astype(np.int64, copy=False)

@@ -40,9 +40,9 @@ class PolygonMesh:
         uvs: (uv points, 2) float64 or None.
         polygon_uvs: UV indices of each polygon's corners, or None.
         appearances: colours and images of the polygons, where the file has any.
-        pieces: names that the file gives to polygons, each once, whatever they look like.
+        pieces: names that the file gives to polygons, each once.
         piece_of_polygon: (polygons,) int64 which of the `pieces` each polygon belongs to, -1 for none; or None.
-        lines: (lines, 2) int64 vertices that the file joins by lines beside its polygons, or None.
+        lines: (lines, 2) int64 vertices joined by separate lines in the file, or None.
         objects: names of the objects of the file.
         object_of: (polygons,) int64 number of the object of each polygon, or None.
     """
@@ -60,11 +60,12 @@ class PolygonMesh:
 
 
 def named_pieces(names: Sequence[str], of_polygon: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
-    """The `pieces` and `piece_of_polygon` of a mesh; those of one name are one, and those of none are left out.
+    """The `pieces` and `piece_of_polygon` of a mesh; pieces of one name are merged, and names without polygons left
+    out.
 
     Args:
         names: of parts of the file.
-        of_polygon: (polygons,) int64 which of them each polygon belongs to.
+        of_polygon: (polygons,) int64 index of the name of each polygon.
     """
     pieces = tuple(dict.fromkeys(name for name in names if name))
     place = {name: number for number, name in enumerate(pieces)}
@@ -90,7 +91,7 @@ def read_mesh(path: Path, refuse_large: Callable[[int], None]) -> PolygonMesh:
 
 
 def read_stl(path: Path) -> PolygonMesh:
-    """The triangles of an STL file; corners in the same place are one vertex, as the format has no connectivity.
+    """The triangles of an STL file; coincident corners become one vertex, as the format has no connectivity.
 
     Args:
         path: the file.
@@ -163,20 +164,20 @@ def require_sound(path: Path, vertices: np.ndarray, corners: np.ndarray) -> None
         corners: (...) int64 the vertices that its faces name.
 
     Raises:
-        InputError: a vertex is not finite, or a face names one that is not there.
+        InputError: a vertex is not finite, or a face names one that does not exist.
     """
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(bad):
         raise InputError(
-            f"{path}: {len(bad)} vertices are NaN or infinite, first {bad[:5].tolist()}; delete or mend them and "
-            "export again."
+            f"{path}: {len(bad)} vertices are NaN or infinite, the first of them {bad[:5].tolist()}; delete or repair "
+            "them and export again."
         )
     if corners.min() < 0 or corners.max() >= len(vertices):
         raise InputError(f"{path}: a face names a vertex out of range, the file has {len(vertices)}; export it again.")
 
 
 def welded(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices in the same place as one, in the order in which they come first, and the faces of them.
+    """Coincident vertices merged, in the order of their first occurrence, and the faces with new indices.
 
     Args:
         vertices: (vertices, 3) [m].

@@ -122,11 +122,11 @@ def read_obj_vertices(path: Path) -> tuple[np.ndarray, bytes]:
 
 
 def left_out(path: Path, mesh: PolygonMesh) -> list[str]:
-    """What an OBJ file holds that its mesh does not: groups, object names, vertex colours, materials without an MTL.
+    """Content of an OBJ file that is not in its mesh: groups, object names, vertex colours, materials without an MTL.
 
     Args:
         path: the file.
-        mesh: what was read of it.
+        mesh: the mesh read from it.
 
     Raises:
         OSError: the file cannot be read.
@@ -168,7 +168,9 @@ def _table(path: Path, lines: Lines, width: int, what: str) -> np.ndarray:
         table = values.reshape(len(lines), width).astype(np.float64)
     except ValueError:
         number = next(number for number, line in lines if not _readable(line, width))
-        raise InputError(f"{path} line {number}: a {what} needs {width} numbers; mend or export it again.") from None
+        raise InputError(
+            f"{path} line {number}: a {what} needs {width} numbers; repair it or export it again."
+        ) from None
     bad = np.flatnonzero(~(np.abs(table) <= _LARGEST).all(axis=1))
     if len(bad):
         fault = (
@@ -176,8 +178,8 @@ def _table(path: Path, lines: Lines, width: int, what: str) -> np.ndarray:
             f"line {lines[bad[0]][0]} ({what} {bad[0] + 1})"
         )
         if width == 3:
-            raise InputError(f"{path}: {fault}; delete or mend them and export again.")
-        warn(f"{path.name}: {fault}; zero is taken for them.")
+            raise InputError(f"{path}: {fault}; delete or repair them and export again.")
+        warn(f"{path.name}: {fault}; zero is used instead.")
         table[bad] = 0.0
     return table
 
@@ -249,13 +251,13 @@ def _shown(text: bytes) -> str:
 
 
 def write_obj(path: Path, mesh: PolygonMesh, groups: Sequence[str] = (), seams: np.ndarray | None = None) -> None:
-    """Write a mesh in one step: the file appears whole or not at all.
+    """Write a mesh in one step: the file appears complete or not at all.
 
-    Its colours and images lie beside it, as NAME.pb4u.mtl and NAME.texture0.png.
+    Its colours and images are written beside it, as NAME.pb4u.mtl and NAME.texture0.png.
 
     Args:
         path: the file.
-        mesh: what is written, numbers to nine digits.
+        mesh: to write, numbers to nine digits.
         groups: group of each polygon, or none.
         seams: (edges, 2) int64 vertices of edges that are written as lines of the group `seams`.
 
@@ -294,7 +296,7 @@ def write_obj(path: Path, mesh: PolygonMesh, groups: Sequence[str] = (), seams: 
 
 
 def group_name(name: str) -> str:
-    """A name as OBJ groups have them: a space would begin another group, and the format states no encoding.
+    """A valid name of an OBJ group: a space would begin another group, and the format states no encoding.
 
     Args:
         name: any text.

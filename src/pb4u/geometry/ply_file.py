@@ -136,7 +136,7 @@ def _row(content: bytes, place: int, properties: list[_Property]) -> tuple[dict[
             size = int(np.frombuffer(content, size_kind, 1, place)[0])
             place += np.dtype(size_kind).itemsize
         if size < 0:
-            raise ValueError("a list has fewer numbers than none")
+            raise ValueError("a list has a negative length")
         values[name] = np.frombuffer(content, kind, size, place) if size else np.zeros(0, dtype=kind)
         place += size * np.dtype(kind).itemsize
     return values, place

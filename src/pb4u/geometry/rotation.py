@@ -28,7 +28,7 @@ def matrix_from_quaternion(quaternion: Tensor) -> Tensor:
 
 
 def from_xyzw(q: np.ndarray) -> np.ndarray:
-    """Quaternions (..., 4) wxyz of those that scipy and glTF have.
+    """Quaternions (..., 4) wxyz from the order xyzw of scipy and glTF.
 
     Args:
         q: (..., 4) xyzw.
@@ -123,7 +123,7 @@ def slerp(a: np.ndarray, b: np.ndarray, s: np.ndarray) -> np.ndarray:
     Args:
         a: (..., 4) unit quaternions wxyz, at s = 0.
         b: (..., 4) unit quaternions wxyz, at s = 1.
-        s: (...) share of the way [1], broadcast.
+        s: (...) interpolation parameter from 0 to 1, broadcast.
 
     Returns:
         (..., 4) unit quaternions wxyz.
@@ -141,14 +141,14 @@ def slerp(a: np.ndarray, b: np.ndarray, s: np.ndarray) -> np.ndarray:
 
 
 def spline(samples: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Rotations along the samples with an angular velocity that never jumps; through each of them, and past none.
+    """Rotations that interpolate the samples with a continuous angular velocity, without overshoot.
 
     Between two samples a cubic Bezier curve on the sphere (Shoemake 1985), at whose ends the angular velocity is the
     mean over both neighbours, and at most 1.5 times the slower of the two.
 
     Args:
         samples: (samples, ..., 4) unit quaternions wxyz, two at least.
-        place: (n,) in samples, from 0 to the last.
+        place: (n,) position in samples, from 0 to the last.
 
     Returns:
         (n, ..., 4) unit quaternions wxyz.
@@ -217,7 +217,7 @@ def from_euler(angles: np.ndarray, order: str, degrees: bool = True) -> np.ndarr
 
 
 def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Smallest rotation that takes one direction to another; between opposite ones, one of the half turns.
+    """Smallest rotation that takes one direction to another; for opposite ones, any half turn.
 
     Args:
         a: (..., 3) unit vectors.

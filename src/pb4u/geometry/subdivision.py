@@ -10,13 +10,13 @@ from scipy.sparse import coo_matrix, csr_matrix
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Faces cut at the middles of their edges; the old vertices come first, then a new one for each edge.
+    """Faces split at the midpoints of their edges; the old vertices come first, then a new one for each edge.
 
     Args:
-        faces: (fine faces, 3) int64; of a face that is cut at its three corners and in its middle, one after the other.
+        faces: (fine faces, 3) int64; of a split face the three corner triangles, then the middle one.
         parent: (fine faces,) int64 the face that each is cut from.
         edges: (edges, 2) int64 that are cut.
-        middles: (faces, 3) int64 new vertices on the edges 01, 12 and 20 of each face; -1 of faces that are left whole.
+        middles: (faces, 3) int64 new vertices on the edges 01, 12 and 20 of each face; -1 for faces that are not split.
     """
 
     faces: np.ndarray
@@ -25,7 +25,7 @@ class Split:
     middles: np.ndarray
 
     def between(self, values: np.ndarray) -> np.ndarray:
-        """Values (vertices + edges, ...) at all vertices, with the mean of both ends at each new one.
+        """Values (vertices + edges, ...) at all vertices; each new one has the mean of the edge's ends.
 
         Args:
             values: (vertices, ...) at the old vertices.
@@ -63,7 +63,7 @@ def loop_weights(split: Split, faces: np.ndarray, vertices: int) -> csr_matrix:
     n = 3 of Warren (1995).
 
     Args:
-        split: of these faces.
+        split: the split of these faces.
         faces: (faces, 3) int64.
         vertices: how many there are.
     """

@@ -65,7 +65,7 @@ class Topology:
         return np.diff(np.append(starts, len(order)))
 
     def faces_at(self, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Row of `edges` and face, (pairs,) int64 each, of every face at each of them, row by row.
+        """Row of `edges` and face, (pairs,) int64 each, of every face at each edge, row by row.
 
         Args:
             edges: (rows,) int64 numbers of edges.
@@ -117,7 +117,7 @@ class Topology:
 
     @cached_property
     def vertex_faces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the faces around each vertex begin (vertices + 1,), and these faces, all int64."""
+        """Offsets (vertices + 1,) of the faces around each vertex, and these faces, all int64."""
         corners = self.faces.reshape(-1)
         by_vertex = np.argsort(corners, kind="stable")
         return np.searchsorted(corners[by_vertex], np.arange(self.vertex_count + 1)), by_vertex // 3
@@ -198,7 +198,7 @@ def joined_indices(parts: Sequence[np.ndarray], starts: Sequence[int]) -> np.nda
 
 
 def ranges(starts: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Numbers (sum of counts,) int64 from each start on, one range after the other.
+    """Numbers (sum of counts,) int64 of the ranges that begin at each start, concatenated.
 
     Args:
         starts: (ranges,) int64 first number of each.
@@ -257,7 +257,7 @@ def faces_to_flip(topology: Topology) -> tuple[np.ndarray, bool]:
 
 
 def neighbour_mean(topology: Topology) -> csr_matrix:
-    """Matrix (vertices, vertices) that takes the mean over a vertex's neighbours; itself where it has none.
+    """Matrix (vertices, vertices) of the mean over a vertex's neighbours; the vertex itself if it has none.
 
     Args:
         topology: the mesh.

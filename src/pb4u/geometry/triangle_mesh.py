@@ -99,7 +99,8 @@ def laid_flat(corners: np.ndarray) -> np.ndarray:
     """Corners (faces, 3, 2) of triangles in their own planes: the first at the origin, the second on the x axis.
 
     Args:
-        corners: (faces, 3, 3) in any unit; those of a triangle whose first two coincide come out not finite.
+        corners: (faces, 3, 3) in any unit; a triangle whose first two corners coincide gives values that are not
+            finite.
     """
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     flat = np.zeros((len(corners), 3, 2))
@@ -111,10 +112,11 @@ def laid_flat(corners: np.ndarray) -> np.ndarray:
 
 
 def carried_directions(directions: np.ndarray, corners: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Directions (faces, n) on triangles as they lie on other shapes of these, in the unit of `directions`.
+    """Directions (faces, n) transferred from triangles to other shapes of the same triangles, in the unit of
+    `directions`.
 
     Args:
-        directions: (faces, m) one on each triangle; only what lies in its plane is carried.
+        directions: (faces, m) one on each triangle; only the part in its plane is transferred.
         corners: (faces, 3, m) of the triangles [m], in the plane or in space.
         others: (faces, 3, n) of their other shapes [m].
     """
@@ -138,7 +140,7 @@ def shares_below(values: np.ndarray, level: float) -> np.ndarray:
 
 
 def both_below(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Whether (faces,) bool some of a face has two quantities below zero that are linear on it.
+    """Whether (faces,) bool two quantities, linear on each face, are both below zero somewhere on the face.
 
     Args:
         one: (faces, 3) at the corners, in any unit.
@@ -156,7 +158,7 @@ def both_below(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def nearest_segments(points: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The nearest of some segments to each point, among those of the nearest middles, for segments of about one length.
+    """The nearest segment to each point, among those with the nearest midpoints, for segments of about equal length.
 
     Args:
         points: (points, 3) [m].
@@ -176,7 +178,8 @@ def nearest_segments(points: np.ndarray, starts: np.ndarray, ends: np.ndarray) -
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Volume [m^3] within a closed surface, positive where its faces look outwards; of an open one about its middle.
+    """Volume [m^3] within a closed surface, positive where its faces look outwards; of an open surface relative to its
+    middle.
 
     Args:
         vertices: (vertices, 3) [m].

@@ -13,14 +13,14 @@ _FLAT = 1e-6
 def triangulate(vertices: np.ndarray, polygons: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Triangles of polygons, in the polygons' order and orientation.
 
-    A quad is cut along its shorter diagonal, or the one within it; an n-gon by clipping ears in its mean plane.
+    A quad is divided along its shorter diagonal that is inside it; an n-gon by ear clipping in its mean plane.
 
     Args:
         vertices: (vertices, 3) [m].
         polygons: (corners,) int64 vertex indices of each polygon, 3 or more.
 
     Returns:
-        corners: (triangles, 3) int64 into the polygons' corners laid end to end.
+        corners: (triangles, 3) int64 into the concatenated polygon corners.
         polygon: (triangles,) int64 the polygon that each triangle was cut from.
     """
     sizes = np.array([len(p) for p in polygons], dtype=np.int64)

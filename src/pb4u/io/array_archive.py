@@ -29,7 +29,7 @@ def read_arrays(path: Path, names: Iterable[str] | None = None) -> dict[str, np.
 
     Args:
         path: the file.
-        names: those to be read, where it has them; None for all.
+        names: members to read, if present; None for all.
 
     Raises:
         InputError: it is no .npz of plain arrays, or would take more memory than it may.
@@ -48,10 +48,10 @@ def read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray
 
     Args:
         archive: the .npz.
-        member: the array's place in it.
+        member: the entry of the array in the archive.
 
     Raises:
-        ValueError: it is no plain array, or cut short; zipfile and numpy raise other errors as well.
+        ValueError: it is not a plain array, or cut short; zipfile and numpy raise other errors as well.
     """
     with archive.open(member) as stream:
         read_layout(stream, member)
@@ -64,7 +64,7 @@ def read_layout(stream: Any, member: zipfile.ZipInfo) -> tuple[tuple[int, ...], 
 
     Args:
         stream: of bytes, at its beginning, then at the entries.
-        member: its place in the archive.
+        member: its entry in the archive.
 
     Raises:
         ValueError: the header is damaged, or speaks of Python objects or of more entries than there are.
@@ -81,7 +81,7 @@ def read_layout(stream: Any, member: zipfile.ZipInfo) -> tuple[tuple[int, ...], 
 
 @contextmanager
 def open_archive(path: Path, names: Iterable[str] | None = None) -> Iterator[zipfile.ZipFile]:
-    """A zip file of arrays. What reading it raises becomes one sentence.
+    """A zip file of arrays. Errors while reading become one sentence.
 
     Args:
         path: the file.
@@ -111,7 +111,7 @@ def member_names(path: Path) -> tuple[str, ...]:
         path: the file.
 
     Raises:
-        InputError: it is no zip file.
+        InputError: it is not a zip file.
     """
     with open_archive(path, ()) as archive:
         return tuple(name.removesuffix(".npy") for name in archive.namelist())

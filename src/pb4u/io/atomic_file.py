@@ -36,7 +36,8 @@ _NAME_KEPT = 100
 
 @contextmanager
 def working_folder(path: Path) -> Iterator[Path]:
-    """A hidden folder beside a file, for what becomes it; deleted at the end, or by the next one after a kill.
+    """A hidden folder beside a file, for its content while it is written; deleted at the end, or by the next writer
+    after a kill.
 
     Args:
         path: path of the file.
@@ -61,11 +62,11 @@ def locked(folder: Path, busy: str) -> AcquireReturnProxy:
 
     Args:
         folder: path of the folder.
-        busy: what to tell whoever finds it held.
+        busy: message for a process that finds it locked.
 
     Raises:
-        InputError: another process holds it.
-        OSError: its lock cannot be made.
+        InputError: another process has locked it.
+        OSError: the lock cannot be created.
     """
     from filelock import FileLock, Timeout
 
@@ -76,7 +77,7 @@ def locked(folder: Path, busy: str) -> AcquireReturnProxy:
 
 
 def sweep(folder: Path) -> None:
-    """Delete what killed processes left unfinished in a folder; what is in use, or may be, stays.
+    """Delete unfinished files of killed processes in a folder, except those that may be in use.
 
     Args:
         folder: path of the folder.
@@ -135,7 +136,7 @@ def check_writable(path: Path, flag: str | None = None) -> None:
     if not _is_special(path) and not os.access(folder, os.W_OK):
         raise InputError(f"The folder {folder}{purpose} cannot be written to.")
     if path.exists() and not os.access(path, os.W_OK):
-        raise InputError(f"{path}{purpose} is write-protected; give another name, or take the protection off.")
+        raise InputError(f"{path}{purpose} is write-protected; give another name, or remove the protection.")
 
 
 def _is_special(path: Path) -> bool:
@@ -147,11 +148,11 @@ def move_into_place(written: Path, path: Path) -> None:
     """Give a complete file its name, once its bytes are on the disk.
 
     Args:
-        written: path of the file as it was written, on the same disk.
-        path: path that it gets; a file there is replaced, and its permissions are kept.
+        written: path of the finished file, on the same disk.
+        path: its new path; a file there is replaced, and its permissions are kept.
 
     Raises:
-        OSError: the disk does not take it.
+        OSError: the disk refuses it.
     """
     with open(written, "rb+") as stream:
         os.fsync(stream.fileno())
@@ -161,14 +162,14 @@ def move_into_place(written: Path, path: Path) -> None:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file beside its place and move it there; a link stays, and what it leads to is written.
+    """Write a file beside its path and move it there; a link stays, and its target is replaced.
 
     Args:
         path: path of the file, or of a device or a pipe.
         content: all of its bytes.
 
     Raises:
-        OSError: the disk does not take it; nothing is left behind.
+        OSError: the disk refuses it; no part of the file remains.
     """
     if _is_special(path):
         path.write_bytes(content)
@@ -186,7 +187,7 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 def json_text(value: Any, indent: int | None = None) -> str:
-    """JSON text of a value, numbers that are not finite written as null, which every reader takes.
+    """JSON text of a value, numbers that are not finite written as null, which every reader accepts.
 
     Args:
         value: JSON data.

@@ -16,7 +16,8 @@ _BESIDE = {".amc": (".asf",), ".pc2": (".obj",), ".obj": (".pc2", ".mdd"), ".mdd
 
 
 def with_companions(path: Path) -> list[Path]:
-    """A file and those that are read with it: a skeleton, a point cache and its mesh, a pattern's drawing, buffers.
+    """A file and its companions that are read with it: a skeleton, a point cache and its mesh, a pattern's drawing,
+    buffers.
 
     Args:
         path: the file.

@@ -36,7 +36,7 @@ _PACKED = {
 
 @dataclass(frozen=True, eq=False)
 class GltfFile:
-    """A document and the buffers that its arrays lie in.
+    """A document and the buffers that contain its arrays.
 
     Args:
         path: the file.
@@ -76,7 +76,7 @@ class GltfFile:
         if "bufferView" in accessor:
             values = self._view(accessor["bufferView"], accessor.get("byteOffset", 0), kind, count, width)
         elif count * width * kind.itemsize > self.path.stat().st_size and "sparse" not in accessor:
-            raise ValueError(f"accessor {index} has nothing in it")
+            raise ValueError(f"accessor {index} is empty")
         else:
             values = np.zeros((count, width), dtype=kind)
         if sparse := accessor.get("sparse"):
@@ -125,24 +125,24 @@ class GltfFile:
 
 
 def read_gltf(path: Path) -> GltfFile:
-    """A glTF file, its buffers read but no array taken from them.
+    """A glTF file with its buffers, but without decoding arrays.
 
     Args:
         path: the .glb, .vrm or .gltf.
 
     Raises:
-        InputError: it is none, is cut short, lacks a buffer, or is compressed by Draco or meshopt.
+        InputError: it is not a glTF file, is cut short, lacks a buffer, or is compressed by Draco or meshopt.
     """
-    with refusing(path, "is no whole glTF file"):
+    with refusing(path, "is not a complete glTF file"):
         content = path.read_bytes()
         document, binary = _parted(path, content)
         if not isinstance(document, dict) or not str(document.get("asset", {}).get("version", "")).startswith("2"):
-            raise InputError(f"{path} is no glTF of version 2; export it again.")
+            raise InputError(f"{path} is not a glTF file of version 2; export it again.")
         for name in document.get("extensionsRequired", ()):
             if name in _PACKED:
                 raise InputError(
-                    f"{path} is compressed by {_PACKED[name]}, which is not read; export it without compression, or "
-                    "unpack it with gltf-transform."
+                    f"{path} is compressed by {_PACKED[name]}, which pb4u does not read; export it without "
+                    "compression, or unpack it with gltf-transform."
                 )
         buffers = []
         for buffer in document.get("buffers", ()):
@@ -157,10 +157,10 @@ class GltfDocument:
     """A glTF file that is written: its JSON, and its arrays as they go to a binary file.
 
     Args:
-        file: takes the arrays, a multiple of 4 bytes each.
+        file: to write the arrays to, each a multiple of 4 bytes.
 
     Attributes:
-        file: takes the arrays.
+        file: to write the arrays to.
         json: the JSON, with one scene.
     """
 
@@ -190,7 +190,7 @@ class GltfDocument:
             values: (count, ...) little-endian, of the component type.
             kind: "SCALAR", "VEC2" and so on.
             component: type of its components.
-            target: its use; None where it is neither by vertex nor indices.
+            target: its use; None if it has neither vertex attributes nor indices.
             more: further entries of the accessor.
         """
         view = self.add_view(values.tobytes(), **({} if target is None else {"target": target}))
@@ -203,7 +203,7 @@ class GltfDocument:
 
         Args:
             values: (vertices, components) float.
-            bounded: whether their bounds are told.
+            bounded: whether their bounds are written.
         """
         values = np.asarray(values, dtype="<f4")
         bounds = {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()} if bounded else {}
@@ -248,7 +248,7 @@ def _beside(path: Path, uri: str | None, binary: bytes) -> bytes:
         return base64.b64decode(uri.partition(",")[2])
     beside = path.parent / unquote(uri)
     if "://" in uri or not beside.resolve().is_relative_to(path.parent.resolve()):
-        raise InputError(f'{path} needs "{uri[:80]}", outside of its folder; put it beside the file.')
+        raise InputError(f'{path} needs "{uri[:80]}", which is outside its folder; put it beside the file.')
     if not beside.is_file():
         raise InputError(f"{path} needs {beside.name} beside it.")
     return beside.read_bytes()

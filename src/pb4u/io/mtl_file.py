@@ -10,10 +10,10 @@ from pathlib import Path
 
 
 def text_of(name: bytes) -> str:
-    """Text of a line that a program wrote in UTF-8, or in a code of its own, whose names stay apart then.
+    """Text of a line in UTF-8, or in another encoding, whose names stay distinct.
 
     Args:
-        name: as it is in the file.
+        name: as in the file.
     """
     try:
         return name.decode("utf-8")
@@ -40,7 +40,7 @@ def joined_lines(obj: Path) -> bytes:
 
 
 def named_libraries(obj: Path) -> list[tuple[str, Path | None]]:
-    """The MTL files that an OBJ file names, each once: the name, and the file where it is there.
+    """The MTL files that an OBJ file names, each once: the name, and the file if it exists.
 
     Args:
         obj: the file.
@@ -60,7 +60,7 @@ def named_libraries(obj: Path) -> list[tuple[str, Path | None]]:
 
 
 def libraries_of(obj: Path) -> list[Path]:
-    """The MTL files that an OBJ file names, each once, of those that are there.
+    """The existing MTL files that an OBJ file names, each once.
 
     Args:
         obj: the file.
@@ -86,10 +86,10 @@ def statements(mtl: Path) -> Iterator[tuple[str, str]]:
 
 
 def image_of(mtl: Path, rest: str) -> Path | None:
-    """The image that a map_Kd names, after its options; None where it is not there.
+    """The image that a map_Kd names, after its options; None if it does not exist.
 
     Args:
-        mtl: the file that the line stands in.
+        mtl: the file that contains the line.
         rest: of the line, after map_Kd.
     """
     # A name may hold blanks, so that options end at the first place after which a file is named.

@@ -31,8 +31,8 @@ def require_room(path: Path, size: int) -> None:
     most = path.stat().st_size + HEADROOM
     if size > most:
         raise InputError(
-            f"{path}: its content would take {megabytes(size)}, and a file of {megabytes(most - HEADROOM)} may take "
-            f"{megabytes(most)} (its size and {megabytes(HEADROOM)}); save it uncompressed, or in smaller parts."
+            f"{path}: its content would take {megabytes(size)} of memory; a file of {megabytes(most - HEADROOM)} may "
+            f"take {megabytes(most)} (its size plus {megabytes(HEADROOM)}): save it uncompressed, or in smaller parts."
         )
 
 
@@ -52,17 +52,17 @@ def parse_json(text: str | bytes) -> Any:
         text: the JSON, bytes in UTF-8.
 
     Raises:
-        ValueError: it is no JSON, nests too deep, or holds a whole number of too many digits.
+        ValueError: it is not JSON, nests too deep, or holds a whole number of too many digits.
     """
     try:
         return json.loads(text, parse_int=_whole)
     except RecursionError:
-        raise ValueError("it nests too many lists and objects in each other") from None
+        raise ValueError("its lists and objects are nested too deeply") from None
 
 
 def _whole(digits: str) -> int:
     if len(digits.lstrip("-")) > _MOST_DIGITS:
-        raise ValueError(f"a whole number of {len(digits):,} digits; {_MOST_DIGITS} are the most")
+        raise ValueError(f"a whole number of {len(digits):,} digits; at most {_MOST_DIGITS} are read")
     return int(digits)
 
 
@@ -84,7 +84,7 @@ def names_text(names: Iterable[object], like: Sequence[str] = ()) -> str:
 
     Args:
         names: any number of names.
-        like: parts of names that come first, since they may be what was looked for.
+        like: parts of names to list first, since they are likely matches.
     """
     texts = (str(name)[:40] for name in names)
     ordered = sorted(texts, key=lambda text: (not any(part in text for part in like), text))
@@ -104,14 +104,14 @@ def error_text(error: BaseException) -> str:
 
 @contextmanager
 def refusing(path: Path, sentence: str) -> Iterator[None]:
-    """Whatever stops the reading of a file as one InputError: a damaged one can raise nearly anything.
+    """Turn any error while reading a file into one InputError: a damaged file can raise nearly anything.
 
     Args:
         path: the file.
-        sentence: what is wrong with it, as a predicate of its name; what was raised follows in brackets.
+        sentence: what is wrong with it, as a predicate after its name; the original error follows in brackets.
 
     Raises:
-        InputError: in the place of what was raised.
+        InputError: instead of the original error.
     """
     try:
         yield

@@ -56,7 +56,7 @@ def load_object_array(path: str | Path) -> Any:
         header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = header(file)
         if shape or not dtype.hasobject:
-            raise InputError(f"{path} holds an array {shape} of {dtype}, and no dictionary.")
+            raise InputError(f"{path} holds an array {shape} of {dtype}, not a dictionary.")
         return _Unpickler(file).load().item()
 
 
@@ -64,20 +64,20 @@ def load_tensors(path: str | Path) -> Any:
     """Tensors, numbers, text and collections of them in a file of `torch.save`, by `torch.load(weights_only=True)`.
 
     Args:
-        path: the file. Tensors are mapped: what is not looked at is not read.
+        path: the file. Tensors are memory-mapped: only those used are read.
 
     Raises:
-        InputError: the file is no whole archive of torch 1.6 or later, or names anything else.
+        InputError: the file is not a complete archive of torch 1.6 or later, or names anything else.
     """
     import torch
 
     path = Path(path)
     with _plain(path, "file that torch 1.6 or later saved"):
         if not zipfile.is_zipfile(path):
-            raise InputError(f"{path} is not a torch file: no whole file of torch.save since 1.6; fetch it again.")
+            raise InputError(f"{path} is not a complete file of torch.save (torch 1.6 or later); download it again.")
         with zipfile.ZipFile(path) as archive:
             if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
-                raise InputError(f"{path}: its members are packed, which torch.save never does.")
+                raise InputError(f"{path}: its members are compressed, which torch.save never does.")
         try:
             return torch.load(path, map_location="cpu", weights_only=True, mmap=True)
         except pickle.UnpicklingError as error:
@@ -94,7 +94,9 @@ def _plain(path: Path, kind: str) -> Iterator[None]:
     except InputError as error:
         if not isinstance(error.__cause__, _Refused):
             raise
-        raise InputError(f"{path}: {error.__cause__}; only plain data is read, nothing in it was run.") from None
+        raise InputError(
+            f"{path}: {error.__cause__}; only plain data is read, and nothing in the file was run."
+        ) from None
 
 
 class _Shell:
@@ -185,7 +187,7 @@ class _Unpickler(pickle._Unpickler):
         if isinstance(built, np.ndarray):
             _, shape, kind, _, content = stack[-1]  # numpy trusts a shape that a file can forge
             if len(content) != math.prod(shape) * (1 if kind.hasobject else kind.itemsize) or min(shape, default=0) < 0:
-                raise ValueError(f"an array of shape {shape} has other numbers than its entries")
+                raise ValueError(f"an array of shape {shape} has another number of entries")
         elif not isinstance(built, _Shell):
             raise _Refused("it sets the state of an object of an unknown class")
         super().load_build()  # type: ignore[misc]

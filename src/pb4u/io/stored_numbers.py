@@ -31,7 +31,8 @@ _RATE_ROUNDING = 2e-4
 
 
 def unrounded_rate(fps: float) -> float:
-    """The whole number of frames per second that a stored rate, or time of a frame, was rounded from; else itself.
+    """The whole number of frames per second from which a stored rate, or time of a frame, was rounded; else the rate
+    itself.
 
     Args:
         fps: as stored [1/s].
@@ -45,7 +46,7 @@ def stored_numbers(value: object, where: str | Path, name: str) -> np.ndarray:
     Args:
         value: whatever the file holds.
         where: the file, for the message.
-        name: what the value is called there.
+        name: name of the value there.
 
     Raises:
         InputError: it holds something else.
@@ -84,7 +85,7 @@ def read_members(
         InputError: whatever `refuse` gives, for the first member that is missing or does not fit.
     """
     if not isinstance(content, Mapping):
-        raise refuse(f"it holds a {type(content).__name__}, no dictionary")
+        raise refuse(f"it holds a {type(content).__name__}, not a dictionary")
     if missing := [name for name in layout if name not in content and name not in optional]:
         raise refuse(f"it has no {' and no '.join(missing)}; it holds {names_text(content)}")
     arrays = {name: _array(content[name]) for name in layout if name in content}
@@ -99,7 +100,7 @@ def require_layout(
     """Refuse arrays of a file whose kinds and shapes do not fit together.
 
     Args:
-        members: arrays (...) by name, in the units of their file; those that are absent are not looked at.
+        members: arrays (...) by name, in the units of their file; absent ones are ignored.
         layout: kinds and shapes that they should have.
         refuse: gives the error for a sentence on what does not fit.
 
@@ -138,7 +139,7 @@ def require_places(
     """Refuse indices in a file that are out of range.
 
     Args:
-        members: arrays (...) by name, in the units of their file; those that are absent are not looked at.
+        members: arrays (...) by name, in the units of their file; absent ones are ignored.
         points_at: member of indices -> the count that they stay below.
         counts: as `require_layout` gives them.
         refuse: gives the error for a sentence on what does not fit.
@@ -149,4 +150,4 @@ def require_places(
     for name, count in points_at.items():
         values = members.get(name)
         if values is not None and values.size and (values.min() < 0 or values.max() >= counts.get(count, 0)):
-            raise refuse(f"{name} points outside of its {counts.get(count, 0)} {count}")
+            raise refuse(f"{name} has indices beyond its {counts.get(count, 0)} {count}")

@@ -19,13 +19,13 @@ def read_tables(path: Path, kind: str) -> dict[str, Any]:
 
     Args:
         path: the file.
-        kind: what it is, such as "a scene file".
+        kind: its kind, such as "a scene file".
 
     Raises:
-        InputError: it is no TOML.
+        InputError: it is not TOML.
     """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, RecursionError) as error:
-        reason = "it is no text" if isinstance(error, UnicodeDecodeError) else error
+        reason = "it is not text" if isinstance(error, UnicodeDecodeError) else error
         raise InputError(f"{path} cannot be read as TOML, which {kind} is: {reason}.") from None

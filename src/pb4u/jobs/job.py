@@ -16,11 +16,11 @@ Work = TypeVar("Work")
 
 
 class Job(Protocol):
-    """Work for one worker; its text, `str(job)`, tells it from the others in plain words."""
+    """Work for one worker; `str(job)` identifies it in plain words."""
 
     @property
     def key(self) -> str:
-        """Address of the result, as `address` makes it."""
+        """Content hash that identifies the result, see `address`."""
 
     @property
     def device(self) -> str:
@@ -32,7 +32,7 @@ class JobPack:
     """Jobs that one worker does together; an attempt at it gives a list of their outcomes.
 
     Args:
-        jobs: of one device.
+        jobs: for one device.
     """
 
     jobs: tuple[Any, ...]
@@ -79,16 +79,16 @@ class Failure:
 
 
 def attempted(run: Callable[[Work], Made], work: Work) -> Made | Failure:
-    """Do a job; whatever goes wrong comes back as a `Failure` with a sentence.
+    """Do a job; any error is returned as a `Failure` with a sentence.
 
     Args:
-        run: what is done with the job.
+        run: function that does the job.
         work: the job.
     """
     try:
         return run(work)
     except Exception as error:
-        unexpected = f"It broke off unexpectedly: {type(error).__name__}: {' '.join(str(error).split())}"
+        unexpected = f"It ended with an unexpected error: {type(error).__name__}: {' '.join(str(error).split())}"
         return Failure(sentence_on(error) or unexpected, traceback.format_exc())
 
 
@@ -119,16 +119,16 @@ def digest(path: Path) -> str:
 
 
 def require_content(path: Path, expected: str) -> None:
-    """Refuse a file that is another than the one a job was planned with.
+    """Refuse a file that differs from the one that the job was planned with.
 
     Args:
         path: the file, or folder.
         expected: its digest then.
 
     Raises:
-        InputError: it is absent, or its content is another.
+        InputError: it is absent, or its content has changed.
     """
     if not path.exists():
-        raise InputError(f"The file {path} is not there on the machine that was to use it.")
+        raise InputError(f"The file {path} does not exist on the machine that needs it.")
     if digest(path) != expected:
         raise InputError(f"The file {path} changed after the run was planned; start the run again.")

@@ -40,12 +40,12 @@ _Folder = TypeVar("_Folder", bound="JobFolder")
 
 
 class JobFolder:
-    """The files of one run; while open, it is this process's alone.
+    """The files of one run; while open, no other process may use the folder.
 
     Args:
-        path: the folder, made where it is not there.
-        kind: what such a folder is of, such as "an evaluation".
-        settings: what a run that goes on with it shares, by name of its flag; a result is no other's for it.
+        path: the folder, created if absent.
+        kind: purpose of such a folder, such as "an evaluation".
+        settings: values that a continued run must share, by the name of their flag.
 
     Raises:
         InputError: it holds something else, a run of other settings or of another version, or is in use.
@@ -60,7 +60,7 @@ class JobFolder:
         with on_disk(f"Cannot use the folder {path}"):
             foreign = path.exists() and (not path.is_dir() or _is_foreign(path))
             if foreign:
-                raise InputError(f"{path} exists and is no folder of {kind}; give another --out.")
+                raise InputError(f"{path} exists and is not a folder of {kind}; give another --out.")
             self._require_same()
             self._jobs.mkdir(parents=True, exist_ok=True)
             self._lock = locked(path, f"Another process is at work in {path}; wait for it, or give another --out.").lock
@@ -79,15 +79,15 @@ class JobFolder:
             if (version, made_by) != (FOLDER_VERSION, __version__):
                 raise InputError(
                     f"{self.path} holds a run of version {version} by pb4u {made_by}, and this is pb4u {__version__} "
-                    f"with version {FOLDER_VERSION}; results of two do not belong together: give another --out."
+                    f"with version {FOLDER_VERSION}; results of two versions are not comparable: give another --out."
                 )
             if meta["kind"] != self._kind:
                 raise InputError(f"{self.path} is a folder of {meta['kind']}, not of {self._kind}; give another --out.")
             for name, value in self._settings.items():
                 if meta[name] != value:
                     raise InputError(
-                        f"{self.path} holds {self._kind} with {name} {meta[name]}, not {value}; go on with that, or "
-                        "give another --out."
+                        f"{self.path} holds {self._kind} with {name} {meta[name]}, not {value}; continue with that "
+                        "value, or give another --out."
                     )
         except InputError:
             raise
@@ -98,8 +98,8 @@ class JobFolder:
         """Record what the run consists of.
 
         Args:
-            jobs: every job of it.
-            more: what else to keep, as JSON.
+            jobs: all jobs of the run.
+            more: further entries, as JSON.
         """
         manifest = {
             "version": FOLDER_VERSION,
@@ -123,8 +123,8 @@ class JobFolder:
         """Store the outcome of a job.
 
         Args:
-            job: the job asked for.
-            outcome: what it made, or why it made nothing.
+            job: the finished job.
+            outcome: its result, or its failure.
 
         Raises:
             Pb4uError: the disk refuses.
@@ -164,8 +164,8 @@ class JobFolder:
             error: why.
         """
         return Pb4uError(
-            f"Cannot write {self.path / name}: {error.strerror or error}; what is done is kept, and the same "
-            "command goes on."
+            f"Cannot write {self.path / name}: {error.strerror or error}; finished jobs are kept: run the same "
+            "command again to continue."
         )
 
     def result(self, job: Job) -> dict[str, Any] | None:
@@ -183,7 +183,7 @@ class JobFolder:
         return result if is_sound else None
 
     def failure(self, job: Job) -> Failure | None:
-        """Reason why a job has no result; None where it was not tried, or came off.
+        """Reason why a job failed; None if it was not tried, or succeeded.
 
         Args:
             job: the job.
@@ -205,14 +205,14 @@ class JobFolder:
     def still_to_do(
         self, jobs: Sequence[Job], noun: str, retry: bool, say: Callable[[str], None], *, plan_only: bool = False
     ) -> list[Any]:
-        """The jobs without a result, those left out that failed before.
+        """The jobs without a result, except those that failed before.
 
         Args:
             jobs: every job of the run.
-            noun: what the jobs are called, in the plural.
-            retry: take those that failed before as well.
-            say: takes a sentence on how many are done, failed and to do.
-            plan_only: whether they are only counted, and what is known of failures stays.
+            noun: name of the jobs, in the plural.
+            retry: include jobs that failed before.
+            say: called with a sentence on how many are done, failed and to do.
+            plan_only: only count the jobs, and keep the records of failures.
         """
         undone = [job for job in jobs if self.result(job) is None]
         failed = {job.key for job in undone if self.failure(job)}
@@ -223,16 +223,17 @@ class JobFolder:
         missing = [job for job in undone if job.key not in failed]
         finished = len(jobs) - len(undone)
         parts = [f"{len(jobs)} {noun}", f"{finished} done before" if finished else "", f"{len(missing)} to do"]
-        parts.append(f"{len(failed)} failed before and left (--retry tries them again)" if failed else "")
+        parts.append(f"{len(failed)} failed before and are skipped (--retry tries them again)" if failed else "")
         say(", ".join(part for part in parts if part) + ".")
         return missing
 
     def work_through(self, jobs: Sequence[Job], pool: WorkerPool, progress: Progress) -> None:
-        """Do all jobs. What ends is kept at once; a job whose worker died is given to another, those of a pack singly.
+        """Do all jobs. Each result is written at once; a job whose worker died is given to another worker, jobs of a
+        pack one by one.
 
         Args:
             jobs: or packs of them, in the order to start them.
-            pool: who does them.
+            pool: the workers that do them.
             progress: called with (jobs ended, jobs in all).
         """
         waiting = deque(jobs)
@@ -274,15 +275,15 @@ class JobFolder:
 
         Args:
             jobs: every job of the run.
-            missing: what `still_to_do` gives, or packs of it, in the order to start them.
-            noun: what the jobs are called, in the plural.
-            pool: makes those who do the jobs; called only where there are some.
+            missing: result of `still_to_do`, or packs of these jobs, in the order to start them.
+            noun: name of the jobs, in the plural.
+            pool: makes the workers; called only where there are jobs.
             progress: opens a display for a label.
-            finish: what else to do then.
-            title: what the label of the display begins with.
+            finish: called at the end.
+            title: beginning of the label of the display.
 
         Raises:
-            Pb4uError: the user ended it, or what came of a job cannot be kept.
+            Pb4uError: the user ended it, or a result cannot be written.
         """
         label = f"{title}{sum(len(jobs_of(job)) for job in missing)} {noun}"
         try:
@@ -292,7 +293,9 @@ class JobFolder:
             finish()
         except KeyboardInterrupt:
             finished = sum(self.result(job) is not None for job in jobs)
-            raise Pb4uError(f"Stopped with {finished} of {len(jobs)} {noun} done; the same command goes on.") from None
+            raise Pb4uError(
+                f"Stopped with {finished} of {len(jobs)} {noun} done; run the same command again to continue."
+            ) from None
 
     def _failed(self, job: Job) -> Path:
         return self._jobs / f"{job.key}.failed.json"
@@ -310,7 +313,7 @@ def quiet(label: str) -> AbstractContextManager[Progress]:
     """No progress bar.
 
     Args:
-        label: what a bar would be called.
+        label: label of a progress bar.
     """
     return nullcontext(no_progress)
 

@@ -33,14 +33,14 @@ class WorkerPool(ABC):
     """Takes jobs and gives their outcomes, in any order.
 
     Attributes:
-        size: how many jobs it takes at once.
+        size: number of jobs at a time.
     """
 
     size: int
 
     @abstractmethod
     def submit(self, job: Job) -> None:
-        """Start a job. Called with at most `size` jobs under way.
+        """Start a job. Called while fewer than `size` jobs are running.
 
         Args:
             job: the job.
@@ -60,7 +60,7 @@ class LocalPool(WorkerPool):
 
     Args:
         workers: how many.
-        attempt: what they do with a job; importable. What it raises ends its worker.
+        attempt: importable function that does a job. An exception in it ends its worker.
 
     Raises:
         InputError: `workers` is not a positive number.
@@ -150,7 +150,7 @@ class RayPool(WorkerPool):
 
     Args:
         address: of the cluster, "auto" for the one of this machine, or "local" to start one for this run.
-        attempt: what they do with a job; importable on every machine.
+        attempt: function that does a job, importable on every machine.
         workers: cores of a cluster started here.
 
     Raises:
@@ -176,7 +176,7 @@ class RayPool(WorkerPool):
             ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False, **options)
         except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(f"There is no Ray cluster to reach at {address}: {reason}") from error
+            raise InputError(f"No Ray cluster can be reached at {address}: {reason}") from error
         self._answer_as_before()
         # Ray's own second tries are off: who hands out the jobs counts them.
         self._attempt = ray.remote(num_cpus=1, max_retries=0)(attempt)
@@ -215,4 +215,4 @@ def _check_reachable(address: str) -> None:
     try:
         socket.create_connection((host, int(port)), timeout=_ANSWER_TIME).close()
     except (OSError, ValueError, OverflowError) as error:
-        raise InputError(f"There is no Ray cluster to reach at {address}: {error}.") from error
+        raise InputError(f"No Ray cluster can be reached at {address}: {error}.") from error

@@ -43,7 +43,7 @@ def first_lost(
         trajectory: frames as written.
         garments: its garments.
         frames: metrics of each garment in each frame, "strain_p95" among them.
-        skinned: as `skinned_centres`, or (frames, 3) of one garment [m]; without it falling off is not judged.
+        skinned: as `skinned_centres`, or (frames, 3) of one garment [m]; without it falling off is not detected.
     """
     # What is not a number has diverged too.
     diverged = ~(np.array([[strains["strain_p95"] for strains in row] for row in frames]) <= DIVERGED_STRAIN)
@@ -62,8 +62,8 @@ def skinned_centres(scene: Scene, trajectory: Trajectory) -> np.ndarray:
     """Centres of mass of the garments where skinning alone would put them.
 
     Args:
-        scene: what was simulated.
-        trajectory: the result, at whose (frames,) instants the centres are wanted.
+        scene: the simulated one.
+        trajectory: the result; the centres are computed at its (frames,) frames.
 
     Returns:
         (frames, garments, 3) [m].
@@ -88,11 +88,11 @@ def _skinned_means(scene: Scene, trajectory: Trajectory, garment: DressedGarment
 def hold_shifts(scene: Scene, trajectory: Trajectory) -> np.ndarray:
     """Distance of the vertices that hold each garment up from where skinning puts them.
 
-    A garment hangs from the uppermost `HOLD_DEPTH` of its left half and of its right half: straps, shoulders or the two
-    sides of a waist. The shift is that of the mean of those vertices, of the half that moved farther.
+    A garment is held by the uppermost `HOLD_DEPTH` of its left half and of its right half: straps, shoulders or the two
+    sides of a waist. The shift is that of the mean of those vertices, in the half that moved farther.
 
     Args:
-        scene: what was simulated.
+        scene: the simulated one.
         trajectory: the result.
 
     Returns:

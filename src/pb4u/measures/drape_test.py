@@ -70,7 +70,7 @@ class DrapeTest:
         folds: wave number of the strongest wave of its rim.
         speed: of the fastest vertex at the end [m/s].
         iterations: of the solver, mean a step.
-        unsolved: steps that were left short of the tolerance.
+        unsolved: number of steps that did not reach the tolerance.
         seconds: that it took.
         draped: the disc at the end, one frame.
     """
@@ -93,11 +93,12 @@ def drape_test(material: Material, edge: float = EDGE, seconds: float = 3.0) -> 
         seconds: how long it falls [s]; after three most discs are at rest.
 
     Raises:
-        InputError: an edge length that makes no folds, or takes hours.
+        InputError: an edge length too long for folds, or so short that the test would take hours.
     """
     if not SHORTEST <= edge <= LONGEST:
         raise InputError(
-            f"A disc is draped with edges of {1e3 * SHORTEST:g} to {1e3 * LONGEST:g} mm, not {1e3 * edge:g}."
+            f"The mesh of a drape test must have edges of {1e3 * SHORTEST:g} to {1e3 * LONGEST:g} mm, not "
+            f"{1e3 * edge:g}."
         )
     began, garment, frames = time.perf_counter(), disc(edge, material), round(30.0 * seconds)
     placement = PrescribedPlacement(np.broadcast_to(rippled(garment), (frames, *garment.vertices.shape)))
@@ -130,7 +131,7 @@ def drape_test(material: Material, edge: float = EDGE, seconds: float = 3.0) -> 
 
 
 def disc(edge: float, material: Material) -> Garment:
-    """A flat disc, its warp along the z axis, pinned where it is held.
+    """A flat disc with the warp along the z axis, pinned on its support.
 
     Args:
         edge: about the length of its triangles' edges [m].

@@ -40,11 +40,11 @@ SHARED_EVERY = 4
 
 
 class Minimum(NamedTuple):
-    """Least energy found in a step.
+    """Lowest energy found for a step.
 
     Args:
         energy: total potential [J]; infinite where the solver reached none.
-        positions: (vertices, 3) [m] where it is; where the search began if it reached none.
+        positions: (vertices, 3) [m] of the minimum; the start of the search if it found none.
     """
 
     energy: float
@@ -52,7 +52,7 @@ class Minimum(NamedTuple):
 
 
 class StepMinima:
-    """Searches minima of time steps; keeps what the solver derives from the garments.
+    """Finds minima of time steps; keeps the data that the solver derives from the garments.
 
     Args:
         potential: energies that count.
@@ -72,7 +72,7 @@ class StepMinima:
         return float(self.potential.of(step).energies(x).total)
 
     def usual_starts(self, step: TimeStep, pinned: Tensor | None = None) -> list[Tensor]:
-        """Where minima are looked for from: free flight and the body's motion, each (vertices, 3) [m].
+        """Starting points of the search for minima: free flight and the body's motion, each (vertices, 3) [m].
 
         Args:
             step: garments in float64 on the CPU.
@@ -86,7 +86,7 @@ class StepMinima:
         return [torch.where(step.garments.pinned[:, None], pinned, start) for start in starts]
 
     def lowest(self, step: TimeStep, starts: Iterable[Tensor]) -> Minimum:
-        """Lowest of the minima that the solver reaches; one solve a start.
+        """Lowest of the minima that the solver reaches, with one solve for each start.
 
         Args:
             step: garments in float64 on the CPU.
@@ -128,16 +128,16 @@ def excess_heights(trajectory: Trajectory, progress: Progress = no_progress) -> 
     """Excess height [m] of every frame over the minimum of the step that led to it; three solves a frame.
 
     The minimum is the lowest that the solver reaches from the frame itself, from free flight and from the body's
-    motion. It is negative where the solver ended higher even from there. The first frame, to which no step led, and
-    what is not finite are not a number. Contact of cloth with cloth, air and the rule of integration are those of the
-    run; the first step is one of implicit Euler, since no frame tells of the steps that led to it.
+    motion. It is negative if the solver ended with more energy than the frame. The first frame, which has no step
+    before it, and frames that are not finite give NaN. Contact of cloth with cloth, air and the rule of integration are
+    those of the run; the first step is one of implicit Euler, since a frame does not store the steps before it.
 
     Args:
         trajectory: frames as written.
         progress: called with (frames done, frames in all).
 
     Raises:
-        InputError: the metadata do not say what the garments are made of.
+        InputError: the metadata lack the materials of the garments.
     """
     ruler, potential, had = Ruler(trajectory), IncrementalPotential(), trajectory.metadata
     if had.get("self_contact"):
@@ -166,7 +166,7 @@ def distance_to(trajectory: Trajectory, reference: Trajectory) -> list[float]:
     """Mean distance [m] of the vertices from where a reference has them, frame by frame.
 
     Args:
-        trajectory: what is judged.
+        trajectory: to be compared.
         reference: the same garments over at least as many frames.
 
     Raises:
@@ -182,9 +182,9 @@ def require_reference(reference: Trajectory, faces: np.ndarray, fps: float, fram
 
     Args:
         reference: the trajectory.
-        faces: (faces, 3) of what is judged.
-        fps: frames per second of what is judged.
-        frames: frames of what is judged, where they are known.
+        faces: (faces, 3) of the run.
+        fps: frames per second of the run.
+        frames: number of frames of the run, if known.
 
     Raises:
         InputError: it is of other meshes, another frame rate or fewer frames.
@@ -192,7 +192,7 @@ def require_reference(reference: Trajectory, faces: np.ndarray, fps: float, fram
     if not np.array_equal(reference.faces, faces):
         raise InputError(
             f"The reference has another mesh: {len(reference.faces)} triangles, and the run {len(faces)}; simulate it "
-            "with the same garments and --triangles."
+            "with the same garments and the same --triangles."
         )
     if not math.isclose(reference.fps, fps):
         raise InputError(f"The reference has {reference.fps:g} frames per second, and the run {fps:g}.")
@@ -216,10 +216,10 @@ def series(values: Sequence[float]) -> dict[str, object]:
 
 @dataclass(frozen=True, eq=False)
 class SharedState:
-    """A state that every method takes one step from.
+    """A state from which every method takes one step.
 
     Args:
-        before: state one frame earlier, from which a method that remembers its last move takes a step first.
+        before: state one frame earlier, from which a method that uses its last move first takes a step.
         state: the state itself.
         least: least energy [J] of the step from it, of several starts.
     """
@@ -237,7 +237,7 @@ class Reference:
         potential: energies that count.
         timeline: garments and bodies, float64 on the CPU.
         states: states of its frames.
-        shared: every few frames, what methods are compared on.
+        shared: states, every few frames, on which methods are compared.
     """
 
     potential: IncrementalPotential
@@ -284,11 +284,12 @@ class Reference:
         return Reference(potential, timeline, tuple(states), tuple(shared))
 
     def excess(self, method: StepMethod, settled: bool = True) -> list[float]:
-        """Excess heights [m] that one step of a method leaves on each shared state; negative where it beats them.
+        """Excess heights [m] after one step of a method from each shared state; negative where the step is below the
+        minimum found.
 
         Args:
-            method: takes the steps.
-            settled: whether refinement and contact belong to it, or its predictions alone.
+            method: simulator that takes the steps.
+            settled: whether to include refinement and contact, or only the network's predictions.
         """
         minima, heights = StepMinima(self.potential), []
         for shared in self.shared:

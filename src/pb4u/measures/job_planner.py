@@ -29,10 +29,10 @@ class Model(NamedTuple):
 
     Args:
         name: its name or file.
-        device: where it computes: "cpu" or "cuda".
-        weights: SHA-256 of a network's weights; None for what has none.
+        device: "cpu" or "cuda".
+        weights: SHA-256 of a network's weights; None for a model without weights.
         adapts: whether it has a number of propagation steps that can be set.
-        fps: frame rate that it has to run at [1/s]; None where it takes any.
+        fps: frame rate at which it must run [1/s]; None for any.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Model(NamedTuple):
 
 
 class JobPlanner:
-    """Makes jobs of runs; what many of them share, such as the content of a file, is looked at once."""
+    """Makes jobs from runs; shared inputs, such as the content of a file, are read once."""
 
     def __init__(self) -> None:
         self._contents: dict[str, tuple[tuple[str, str, str], ...]] = {}
@@ -57,13 +57,13 @@ class JobPlanner:
         """Job of a run.
 
         Args:
-            run: what is simulated.
-            label: what tables call its model.
-            keep: what is kept of the trajectory.
+            run: to simulate.
+            label: name of its model in tables.
+            keep: part of the trajectory to keep.
             excess: measure excess heights too.
 
         Raises:
-            InputError: a name or a file that the run needs is not there, or its model cannot be had so.
+            InputError: a name or a file that the run needs does not exist, or its model does not support the options.
         """
         self._require_names(run)
         model = self.model(run)
@@ -79,10 +79,10 @@ class JobPlanner:
         """Model of a run.
 
         Args:
-            run: whose scene is not looked at.
+            run: its scene is ignored.
 
         Raises:
-            InputError: there is none, or it cannot be had so.
+            InputError: there is no such model, or it does not support the options.
         """
         if run.options not in self._models:
             self._models[run.options] = _resolved(run)

@@ -47,13 +47,13 @@ _MOST_FINER = 8.0
 
 @dataclass(frozen=True, eq=False)
 class Bones:
-    """Bones that cloth has to stay around, over time; those of hands or fingers left out of contact are none of them.
+    """Bones that cloth must stay around, over time, without those of hands or fingers left out of contact.
 
     Args:
         names: name of each bone.
         ends: (frames, bones, 2, 3) its joint and the next [m].
-        skin: (body vertices,) int64 the bone that moves each most; -1 where that is none of these.
-        scene: whose bodies they are, if it is known.
+        skin: (body vertices,) int64 the bone that moves each most; -1 if it is another bone.
+        scene: the scene with these bodies, if known.
     """
 
     names: tuple[str, ...]
@@ -66,7 +66,7 @@ class Bones:
         """The bones of a scene's bodies at the frames that are written; none of a body without a skeleton.
 
         Args:
-            scene: what was simulated.
+            scene: the simulated one.
             frames: number of frames.
             fps: their rate [1/s].
         """
@@ -89,7 +89,7 @@ class Bones:
 
     @cached_property
     def asked_at_rest(self) -> dict[str, int]:
-        """Name of a garment -> triangles, for those that are coarse for a body at rest."""
+        """Name of a garment -> recommended triangles, for garments that are coarse for a body at rest."""
         triangles: dict[str, int] = {}
         if self.scene is None:
             return triangles
@@ -110,8 +110,8 @@ class LimbWatch:
         header: of the trajectory.
 
     Attributes:
-        needs: name of a bone -> garment that it is through, for those found, and triangles of it that would hold it;
-            None where it has as many already.
+        needs: name of each bone found -> the garment that it passes through, and the number of triangles that would
+            prevent this; None if the garment already has as many.
     """
 
     def __init__(self, bones: Bones, header: TrajectoryHeader) -> None:
@@ -196,19 +196,24 @@ class LimbWatch:
         return garment["name"], enough if enough > count else None
 
     def sentences(self, bones: Sequence[str], frame: int, counts: dict[str, int]) -> list[str]:
-        """Warnings of limbs that are newly through cloth, one a garment; none where skinning alone moved it.
+        """Warnings of limbs that have newly passed through cloth, one a garment; none for skinning, which has no
+        physics.
 
         Args:
             bones: their names, of `needs`.
             frame: number of the frame.
-            counts: name of a garment -> triangles that were advised before; those advised here are added.
+            counts: name of a garment -> triangles recommended before; new recommendations are added.
         """
         if not has_physics(self.header):
             return []
         sentences, contact = list[str](), self.header.metadata.get("contact", True)
         for garment in dict.fromkeys(self.needs[bone][0] for bone in bones):
             group = [bone for bone in bones if self.needs[bone][0] == garment]
-            advice = self._advice(group, garment, counts) if contact else "nothing holds it: leave out --contact off"
+            advice = (
+                self._advice(group, garment, counts)
+                if contact
+                else "nothing keeps it off the body: leave out --contact off"
+            )
             verb = "are" if len({plain_name(bone) for bone in group}) > 1 else "is"
             through = f"Frame {frame}: {plain_names(group)} {verb} through the {garment}"
             sentences.append(f"{through}{': ' if advice else ''}{advice}.")
@@ -229,7 +234,7 @@ class LimbWatch:
 
 
 def has_physics(header: TrajectoryHeader) -> bool:
-    """Whether a solver or a network moved the cloth, and not skinning alone.
+    """Whether a solver or a network moved the cloth, not only skinning.
 
     Args:
         header: of the trajectory.
@@ -243,11 +248,11 @@ def _triangles_flag(enough: Mapping[str, int], garments: int) -> str:
 
 
 def watched(bones: Bones, trajectory: Trajectory) -> tuple[np.ndarray, LimbWatch]:
-    """Which bones (frames, bones) bool are through cloth, and what would hold them.
+    """Which bones (frames, bones) bool are through cloth, and the triangle counts that would prevent it.
 
     Args:
         bones: at the frames of the trajectory.
-        trajectory: what was simulated.
+        trajectory: the simulated one.
     """
     watch = LimbWatch(bones, trajectory.header)
     frames = zip(trajectory.positions, trajectory.body_positions, strict=True)
@@ -255,12 +260,12 @@ def watched(bones: Bones, trajectory: Trajectory) -> tuple[np.ndarray, LimbWatch
 
 
 def limbs_through_cloth(crossed: np.ndarray, watch: LimbWatch) -> list[dict[str, Any]]:
-    """What has gone through cloth, the longest first: name of the `bone`, `first_frame`, number of `frames`, the
-    `garment`, and the `triangles` of it that would hold the bone, or None where it has as many.
+    """Limbs that passed through cloth, the longest first: name of the `bone`, `first_frame`, number of `frames`, the
+    `garment`, and the number of `triangles` that would prevent it, or None if the garment has as many.
 
     Args:
         crossed: (frames, bones) bool as `watched` gives it.
-        watch: that found them.
+        watch: the watch that found them.
     """
     names = watch.bones.names
     # A joint with several children is the head of several bones of one name.
@@ -279,11 +284,11 @@ def limbs_through_cloth(crossed: np.ndarray, watch: LimbWatch) -> list[dict[str,
 
 
 def limbs_sentence(limbs: Sequence[dict[str, Any]], trajectory: Trajectory) -> str | None:
-    """What has gone through cloth in one sentence; None for nothing.
+    """One sentence on limbs that passed through cloth; None for none.
 
     Args:
         limbs: as `limbs_through_cloth`.
-        trajectory: in which it was found.
+        trajectory: in which they were found.
     """
     if not limbs:
         return None
@@ -293,16 +298,19 @@ def limbs_sentence(limbs: Sequence[dict[str, Any]], trajectory: Trajectory) -> s
         longest.setdefault(plain_name(limb["bone"]), limb["frames"])
     names = ", ".join(f"the {name} ({count})" for name, count in list(longest.items())[:4])
     more = f" and {len(longest) - 4} more" if len(longest) > 4 else ""
-    through = f"Limbs have gone through the cloth from frame {first} on, in so many of {frames} frames: {names}{more}"
+    through = (
+        f"Limbs have passed through the cloth from frame {first} on, each with its number of frames of "
+        f"{frames}: {names}{more}"
+    )
     if not has_physics(trajectory.header):
         return f"{through}; skinning has no physics, --model quick-solver has."
     if not trajectory.header.metadata.get("contact", True):
-        return f"{through}; nothing holds the cloth off: leave out --contact off."
+        return f"{through}; nothing keeps the cloth off the body: leave out --contact off."
     enough: dict[str, int] = {}
     for limb in limbs:
         if limb["triangles"]:
             enough[limb["garment"]] = max(enough.get(limb["garment"], 0), limb["triangles"])
     flag = _triangles_flag(enough, len(trajectory.header.garments))
-    finer = f"; {flag} makes the cloth fine enough for them" if enough else ""
-    arms = "; --arms-away 8 holds arms off the body" if any(ARM.search(limb["bone"]) for limb in limbs) else ""
+    finer = f"; {flag} makes the cloth fine enough for these limbs" if enough else ""
+    arms = "; --arms-away 8 swings arms away from the body" if any(ARM.search(limb["bone"]) for limb in limbs) else ""
     return f"{through}{finer}{arms}."

@@ -60,11 +60,11 @@ def measure(
     """Metrics of a trajectory, as the command line reports them.
 
     Args:
-        trajectory: frames as written; the energies of a frame are those of the step that led to it. The first frame
-            has none and is judged standing still: its inertia and friction are 0.
-        skinned: as `skinned_centres`, or (frames, 3) of one garment [m]; without it falling off is not judged.
+        trajectory: frames as written; the energies of a frame are those of the step that led to it. The first frame has
+            none and is measured as if at rest: its inertia and friction are 0.
+        skinned: as `skinned_centres`, or (frames, 3) of one garment [m]; without it falling off is not detected.
         progress: called with (frames done, frames in all).
-        contact: whether penetration, skin and crossings are measured, which takes most of the time.
+        contact: whether to measure penetration, visible skin and crossings, which takes most of the time.
 
     Returns:
         `metrics` and `metrics_paper`, the energies by the released convention: name -> {per_frame, mean, max};
@@ -73,7 +73,7 @@ def measure(
         the file: its `name`, `metrics` (energies and strains), `diverged` and `diverged_at`.
 
     Raises:
-        InputError: it is no trajectory, or its metadata do not say what the garments are made of.
+        InputError: it is not a trajectory, or its metadata lack the materials of the garments.
     """
     if not isinstance(trajectory, Trajectory):
         raise InputError(
@@ -146,10 +146,10 @@ def first_diverged(trajectory: Trajectory, skinned: np.ndarray | None = None) ->
 
     Args:
         trajectory: frames as written.
-        skinned: as `skinned_centres`, or (frames, 3) of one garment [m]; without it falling off is not judged.
+        skinned: as `skinned_centres`, or (frames, 3) of one garment [m]; without it falling off is not detected.
 
     Raises:
-        InputError: the metadata do not say what the garments are made of.
+        InputError: the metadata lack the materials of the garments.
     """
     garments = packed_garments(trajectory)
     strains = [_strains(garments, _tensor(positions))[1] for positions in trajectory.positions]
@@ -163,7 +163,7 @@ def garments_of(trajectory: Trajectory) -> list[Garment]:
         trajectory: the trajectory.
 
     Raises:
-        InputError: the metadata do not say what they are made of.
+        InputError: the metadata lack their materials.
     """
     try:
         return [_garment(trajectory.header, entry) for entry in trajectory.header.garments]
@@ -178,7 +178,7 @@ def packed_garments(trajectory: Trajectory) -> PackedGarments:
         trajectory: the trajectory.
 
     Raises:
-        InputError: the metadata do not say what they are made of.
+        InputError: the metadata lack their materials.
     """
     garments = garments_of(trajectory)
     return pack(garments, worlds=[0] * len(garments))
@@ -227,8 +227,8 @@ def visible_skin(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which of the body's vertices show where cloth should cover them, and which are covered.
 
-    At a vertex cloth is looked for that faces the same way and lies along the body's normal, not at its own border:
-    above the skin it covers it, below it the skin shows.
+    At each vertex the nearest cloth that faces the same way and lies along the body's normal, not at a border of the
+    cloth, decides: above the skin it covers the vertex, below it the skin shows.
 
     Args:
         body: (body vertices, 3) [m].
@@ -237,7 +237,8 @@ def visible_skin(
         cloth_faces: (faces, 3) int64.
 
     Returns:
-        Two masks (body vertices,) bool, and the faces (shown vertices,) int64 of the cloth that lie under what shows.
+        Two masks (body vertices,) bool, covered and visible, and the faces (visible vertices,) int64 of the cloth under
+        the visible ones.
     """
     shown, covered = np.zeros(len(body), dtype=bool), np.zeros(len(body), dtype=bool)
     vertices = np.unique(body_faces)
@@ -251,17 +252,17 @@ def visible_skin(
 def pinched(
     pairs: np.ndarray, cloth: np.ndarray, cloth_faces: np.ndarray, body: np.ndarray, folds: np.ndarray
 ) -> np.ndarray:
-    """Which crossings (pairs,) bool of cloth with the body reach where the body is inside itself.
+    """Which crossings (pairs,) bool of cloth with the body are where the body is inside itself.
 
-    The circle around a face of cloth, about its centre, reaches there: no cloth can lie right between two parts of a
-    body that pass through each other.
+    The circumscribed circle of the cloth's face decides, since no cloth fits between two parts of a body that pass
+    through each other.
 
     Args:
         pairs: (pairs, 2) int64 a face of cloth and one of the body.
         cloth: (vertices, 3) [m].
         cloth_faces: (faces, 3) int64.
         body: (body vertices, 3) [m].
-        folds: (folds, 3) int64 those faces of the body that overlap others.
+        folds: (folds, 3) int64 faces of the body that overlap others.
     """
     if not len(pairs) or not len(folds):
         return np.zeros(len(pairs), dtype=bool)
@@ -290,10 +291,10 @@ class FrameMetrics(NamedTuple):
 
 
 class Ruler:
-    """Measures single frames; holds everything about a trajectory that measuring needs once.
+    """Measures single frames; stores the data of a trajectory that all measurements share.
 
     Args:
-        trajectory: what is measured.
+        trajectory: to measure.
 
     Attributes:
         garments: the garments, packed in float64.
@@ -302,7 +303,7 @@ class Ruler:
         touched: (faces, 3) of the bodies that cloth may touch.
 
     Raises:
-        InputError: the metadata do not say what the garments are made of.
+        InputError: the metadata lack the materials of the garments.
     """
 
     def __init__(self, trajectory: Trajectory) -> None:
@@ -328,7 +329,7 @@ class Ruler:
 
         Args:
             t: number of the frame.
-            contact: as `measure` takes it.
+            contact: see `measure`.
         """
         x = _tensor(self.trajectory.positions[t])
         strains, each_strains = _strains(self.garments, x)
@@ -369,7 +370,7 @@ class Ruler:
         return metrics
 
     def step(self, t: int, x: Tensor) -> TimeStep:
-        """The step that led to frame t and `x` (vertices, 3) [m]; frame 0 is judged standing still.
+        """The step that led to frame t and `x` (vertices, 3) [m]; frame 0 is measured as if at rest.
 
         Args:
             t: number of the frame.

@@ -38,10 +38,10 @@ def overlapping_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def buried(mask: np.ndarray, vertices: np.ndarray, faces: np.ndarray, folds: np.ndarray) -> np.ndarray:
-    """Vertices (vertices,) bool that lie inside another part of a closed surface, where no one sees them.
+    """Vertices (vertices,) bool that lie inside another part of a closed surface, where they are not visible.
 
     Args:
-        mask: (vertices,) bool vertices to look at; no other is found.
+        mask: (vertices,) bool vertices to test.
         vertices: (vertices, 3) [m], finite.
         faces: (faces, 3) int64, counter-clockwise seen from outside.
         folds: (folds, 3) int64 its overlapping faces.

@@ -18,7 +18,8 @@ _TOLD_FROM = 0.01
 def overstretched_sentences(trajectory: Trajectory) -> list[str]:
     """A sentence for each garment of which, in some frame, more than 1 % is stretched to twice the limit of its cloth.
 
-    Stretch is that of the threads, along warp and weft. Cloth without a limit is not judged, nor what skinning moves.
+    Stretch is that of the threads, along warp and weft. Cloth without a limit is ignored, and so is cloth moved by
+    skinning.
 
     Args:
         trajectory: frames as written.
@@ -44,7 +45,7 @@ def overstretched_sentences(trajectory: Trajectory) -> list[str]:
             strongest = 100.0 * 2.0 * limit[judged].min()
             sentences.append(
                 f"{garment.name}: {100.0 * shares[worst]:.0f} % of it is stretched by more than {strongest:.3g} %, "
-                f"twice what its cloth gives before it stiffens, most in frame {worst}; a larger cut or a softer "
-                "--material would give way."
+                f"twice the strain at which its cloth stiffens, most in frame {worst}; a larger cut or a softer "
+                "--material would strain less."
             )
     return sentences

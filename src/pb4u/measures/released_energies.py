@@ -44,7 +44,7 @@ class ReleasedCollision(EnergyTerm):
 
     Args:
         weight: w [J/m^3].
-        clearance: eps, the distance at which it begins [m].
+        clearance: eps, the distance below which it acts [m].
     """
 
     weight: float = 5e3

@@ -36,7 +36,7 @@ PICTURED = 0.6
 
 
 class Simulated(NamedTuple):
-    """A scene, its states and what they cost."""
+    """A scene, its states and their computing times."""
 
     scene: Scene
     states: list[State]
@@ -48,12 +48,12 @@ class RunJob:
     """A run to be simulated and measured.
 
     Args:
-        run: what is simulated, model and device by name.
-        label: what tables call its model.
-        contents: (value in `run`, file that is read for it, SHA-256 of the file); a result belongs to the content of
-            its files, not to their place.
-        weights: SHA-256 of a network's weights; None for what has none.
-        keep: what is kept of the trajectory: all in full or "half" precision, or "stills": the frame at `PICTURED`, and
+        run: to simulate, with model and device by name.
+        label: name of its model in tables.
+        contents: (value in `run`, file that is read for it, SHA-256 of the file); a result depends on the content of
+            its files, not on their paths.
+        weights: SHA-256 of a network's weights; None for a model without weights.
+        keep: part of the trajectory to keep: all in full or "half" precision, or "stills": the frame at `PICTURED`, and
             the worst.
         excess: also measure what single steps leave on states shared by all models, and the distance from the solver's
             rollout; costs two solves a frame for each scene.
@@ -98,7 +98,7 @@ class RunJob:
         """The labels, some files by another title.
 
         Args:
-            titles: value in `run` -> what it is called.
+            titles: value in `run` -> its title.
         """
         run = self.run
         stems = {value: Path(file).stem + entry_of(value, file) for value, file, _ in reversed(self.contents)}
@@ -139,7 +139,7 @@ class RunJob:
 
 
 def attempt(job: RunJob | JobPack) -> Made | Failure | list[Made | Failure]:
-    """Do a job, or those of a pack; whatever goes wrong comes back as a `Failure` with a sentence.
+    """Do a job, or those of a pack; any error is returned as a `Failure` with a sentence.
 
     Args:
         job: the job, or the pack, which gives a list.
@@ -171,10 +171,10 @@ def make(job: RunJob, simulated: Simulated | None = None) -> Made:
 
     Args:
         job: the run to make.
-        simulated: its states and what they cost, where it was simulated with others.
+        simulated: its states and computing times, if it was simulated together with others.
 
     Raises:
-        InputError: something of it cannot be used, or changed since it was planned.
+        InputError: one of its inputs cannot be used, or changed since it was planned.
         Pb4uError: the state stopped being finite before the first frame to write, of which no stills are to be kept.
     """
     from pb4u.measures.divergence import hold_shifts, slid_from
@@ -352,7 +352,7 @@ def _worst_frame(result: dict[str, Any], frames: int) -> int:
 
 
 def entry_of(value: str, file: str) -> str:
-    """What a value names within its file, such as ":tshirt" or ":3"; "" where it is the file alone.
+    """Part of a value that names an entry within its file, such as ":tshirt" or ":3"; "" if it names only the file.
 
     Args:
         value: as a run has it.

@@ -37,17 +37,17 @@ def run_report(
 
     Args:
         trajectory: the frames as written.
-        simulator: what made them.
-        scene: what was simulated.
+        simulator: the simulator that made them.
+        scene: the simulated one.
         record: cost of the run and how it ended.
         progress: called with (frames measured, frames in all).
         excess: also measure `excess_height`, three solves a frame, and count the frames that lie below their reference.
         reference: also measure `distance_to_reference`.
-        limbs: which were found through cloth, as `watched` gives it; looked for where left out.
-        notes: what was warned of besides the notes of the scene.
+        limbs: limbs found through cloth, from `watched`; by default searched for.
+        notes: warnings besides the notes of the scene.
 
     Raises:
-        InputError: the trajectory does not say what its garments are made of, or the reference is of other meshes.
+        InputError: the trajectory lacks the materials of its garments, or the reference has other meshes.
     """
     measured = measure(trajectory, skinned_centres(scene, trajectory), progress)
     crossed, watch = limbs or watched(Bones.of(scene, trajectory.frame_count, trajectory.fps), trajectory)
@@ -72,12 +72,12 @@ def run_report(
 
 
 def run_facts(header: TrajectoryHeader, simulator: Simulator, scene: Scene, record: RunRecord) -> dict[str, Any]:
-    """Names, counts and timing of a run, whatever came of it, as JSON; no frames.
+    """Names, counts and timing of a run, successful or not, as JSON; no frames.
 
     Args:
         header: of its trajectory.
-        simulator: what made it.
-        scene: what was simulated.
+        simulator: the simulator that made it.
+        scene: the simulated one.
         record: cost of the run.
     """
     return {

@@ -78,7 +78,7 @@ class ArmClearance:
 
 
 def reach(fps: float) -> int:
-    """Number of frames before and after a frame that `eased` looks at for it.
+    """Number of frames before and after a frame on which `eased` depends.
 
     Args:
         fps: frames per second.
@@ -87,7 +87,7 @@ def reach(fps: float) -> int:
 
 
 def eased(turns: np.ndarray, fps: float) -> np.ndarray:
-    """Turns that begin before and end after those that are needed, without a jerk.
+    """Turns that smoothly begin before and end after the required ones.
 
     Args:
         turns: (frames, 3) rotation vectors [rad].

@@ -69,7 +69,7 @@ def find_asf(amc: Path) -> Path:
         amc: the trial.
 
     Raises:
-        InputError: there is none, or several without a match.
+        InputError: there is no skeleton, or several without a match.
     """
     beside = sorted(p for p in amc.parent.iterdir() if p.suffix.lower() == ".asf")
     subjects = (amc.stem, amc.stem.split("_")[0])
@@ -97,7 +97,8 @@ def read_amc(path: Path) -> Recording:
     source = roles_of(bones, parents)
     if source is None:
         raise InputError(
-            f"{asf}: its bones are of no human; {unknown_bones(bones, parents)}: rename them as the database does."
+            f"{asf}: its bones are not those of a human; {unknown_bones(bones, parents)}: rename them as the database "
+            "does."
         )
     names, values, degrees = _read_frames(path, rest, asf)
     frames = len(values)
@@ -150,7 +151,7 @@ def _sections(path: Path) -> dict[str, list[str]]:
 def _numbers(words: list[str], count: int) -> np.ndarray:
     values = np.array([float(word) for word in words[:count]])
     if len(values) != count or not np.isfinite(values).all():
-        raise ValueError(f'"{" ".join(words)[:80]}" where {count} number(s) belong')
+        raise ValueError(f'"{" ".join(words)[:80]}" where {count} number(s) should be')
     return values
 
 
@@ -168,14 +169,14 @@ def _bones(lines: list[str]) -> dict[str, _Bone]:
         else:
             name, direction, length = fields["name"][0], _numbers(fields["direction"], 3), _numbers(fields["length"], 1)
             if length <= 0.0 or not direction.any() or name in bones:
-                raise ValueError(f"bone {name} has no length or no direction, or is there twice")
+                raise ValueError(f"bone {name} has no length or no direction, or appears twice")
             order = fields["axis"][3] if len(fields["axis"]) > 3 else "xyz"
             direction /= float(np.linalg.norm(direction))
             turn = _numbers(fields["axis"], 3), _axis_order(order), _channels(fields.get("dof", []))
             bones[name] = _Bone(direction * length, *turn)
             fields = {}
     if fields:
-        raise ValueError(f"it ends inside the bone after {len(bones)} whole ones")
+        raise ValueError(f"it ends inside bone {len(bones) + 1}")
     return bones
 
 
@@ -209,7 +210,9 @@ def _parents(lines: list[str], bones: dict[str, _Bone]) -> dict[str, str]:
         if unknown := [name for name in (parent, *children) if name not in bones]:
             raise ValueError(f'the hierarchy names a bone "{unknown[0]}" without data')
         if parent not in parents or any(child in parents for child in children):
-            raise ValueError(f'the hierarchy gives a bone below "{parent}" a second parent, or comes to it too early')
+            raise ValueError(
+                f'the hierarchy gives a bone below "{parent}" a second parent, or names it before its own parent'
+            )
         parents |= dict.fromkeys(children, parent)
     return parents
 

@@ -44,7 +44,8 @@ class Aim(NamedTuple):
     Args:
         end: bone whose joint marks its end.
         direction: (3,) in a T-pose.
-        fold: joint and end of the segment below that folds one way, and which (3,); None where there is none.
+        fold: joint and end of the segment below that bends in one direction only, and this direction (3,); None without
+            one.
         leans: whether it may well have another direction in a T-pose, as necks have.
     """
 
@@ -78,7 +79,7 @@ def trunk(recording: Recording) -> list[int]:
 
 
 def nearly_axes(axes: np.ndarray) -> np.ndarray:
-    """Left, up and front along the axes of the file where they are so nearly, up and front each for itself.
+    """Left, up and front snapped to the axes of the file where they are close, up and front separately.
 
     Args:
         axes: (3, 3) rows left, up and front, a rotation.
@@ -99,18 +100,18 @@ def axes_in_t_pose(
 ) -> tuple[np.ndarray, Recording]:
     """Rotations from the rest pose in which each bone stands in a T-pose.
 
-    Bones that rest straight go with their parents where the frames bear it out. Of others the frames alone tell: a bone
-    has the twist that leaves it the least twisted against its parent, with its knee or elbow folding as these do, and
-    one without a direction has the rotation that it has on the whole.
+    Bones that rest straight go with their parents where the frames bear it out. For other rest poses the frames decide:
+    a bone gets the twist that is smallest relative to its parent, with knees and elbows bending as in life; a bone
+    without a direction gets its mean rotation.
 
     Args:
         recording: its skeleton.
-        poses: some frames of it.
-        joints: (frames, bones, 3) places of the joints in them.
+        poses: some frames of the recording.
+        joints: (frames, bones, 3) positions of the joints in these frames.
         up: (3,) the axis of the file that is up.
 
     Returns:
-        (bones, 4) unit quaternions wxyz, and the recording, whose elbows fold forward where frames alone tell.
+        (bones, 4) unit quaternions wxyz, and the recording, with elbows that bend forward if only the frames decide.
     """
     if not _rests_in_line(recording):
         axes, share = _axes(recording, poses, joints, up, True)

@@ -23,7 +23,7 @@ _HEADING = 200
 _STRETCH = 0.01
 """Share of the length of a leg by which joints may move against their parents without a word."""
 _END, _LONGEST = -2, 80
-"""What stands for the end of a chain, which is no joint, and the characters of a name that count."""
+"""What stands for the end of a chain, which is not a joint, and the characters of a name that count."""
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 
 
@@ -150,7 +150,7 @@ def _source(path: Path, joints: list[_Joint]) -> SkeletonRoles:
     source = roles_of(names, parents)
     if source is None:
         raise InputError(
-            f"{path}: its joints ({', '.join(sorted(names)[:6])}, ..) are of no known skeleton; "
+            f"{path}: its joints ({', '.join(sorted(names)[:6])}, ..) match no known skeleton; "
             f"{unknown_bones(names, parents)}: rename the joints like one of {', '.join(SCHEMES)}."
         )
     return source

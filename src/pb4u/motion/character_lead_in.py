@@ -18,11 +18,11 @@ from pb4u.motion.lead_in import run_up
 def character_lead_in(character: Character, poses: NodePoses, fps: float, frames: int) -> NodePoses:
     """Poses with more frames before them, that lead from the bind pose to the first one.
 
-    As `lead_in` does it for bodies: the bind pose stands where and as the first frame stands and faces, bones are
-    interpolated by slerp, and the whole is moved up or down to where its lowest point belongs.
+    As `lead_in` does it for bodies: the bind pose has the position and heading of the first frame, bones are
+    interpolated by slerp, and the whole body is shifted vertically so that its lowest point is at the right height.
 
     Args:
-        character: who performs them.
+        character: the character that performs them.
         poses: of its clip.
         fps: frames per second.
         frames: how many frames lead in.
@@ -106,8 +106,8 @@ def _standing(character: Character, first: NodePoses) -> NodePoses:
                 translations[0, node], rotations[0, node], scales[0, node] = parted(local)
             except ValueError as error:
                 raise InputError(
-                    f"{character.name}: in its bind pose {error}, as under one of uneven scale; apply the scales of "
-                    "its nodes in the program it comes from, or leave its way there out with --lead-in 0."
+                    f"{character.name}: in its bind pose {error}, as under a parent of uneven scale; apply the scales "
+                    "of its nodes in the program it comes from, or skip the lead-in with --lead-in 0."
                 ) from error
             stands[node] = place @ binds[node]
         else:

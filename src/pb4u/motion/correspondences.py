@@ -29,12 +29,12 @@ FORWARD = (0.0, 0.0, 1.0)
 
 @dataclass(frozen=True)
 class Blend:
-    """A rotation part of the way from one bone's (or role's) to another's.
+    """A rotation interpolated between those of two bones (or roles).
 
     Args:
-        first: bone or role at which the way begins.
+        first: bone or role at amount 0.
         second: bone or role at which it ends.
-        amount: share of the way, 0 to 1.
+        amount: interpolation parameter, 0 to 1.
     """
 
     first: str
@@ -52,7 +52,7 @@ class SkeletonRoles:
     Args:
         family: name of the naming scheme.
         roles: role -> bone, or blend of bones. The head of a limb role's bone marks its joint.
-        elbow_flexion: direction in which the left forearm folds, in a T-pose facing +Z.
+        elbow_flexion: direction in which the left forearm bends, in a T-pose facing +Z.
         same_as: families of bodies that have these very bones and rest pose, which need no retargeting.
     """
 
@@ -85,10 +85,10 @@ _LIMB_JOINTS = {role: bone.replace("{}_", "") for role, bone in LIMB_BONES["smpl
 
 
 def roles_of(names: Sequence[str], parents: Sequence[int]) -> SkeletonRoles | None:
-    """Roles of the bones of a human, whatever they are called (`pb4u.body.bone_names`); None where they are not one's.
+    """Roles of the bones of a human, from their names (`pb4u.body.bone_names`); None if the skeleton is not human.
 
-    Of a spine or neck of other than the usual bones roles are taken part of the way between its bones; without toes,
-    collar bones or a neck the bones that these would hang on play their roles.
+    For a spine or neck with an unusual number of bones roles are interpolated between its bones; without toes, collar
+    bones or a neck their parents take these roles.
 
     Args:
         names: of the bones, each once, parents before children.

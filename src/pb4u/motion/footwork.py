@@ -38,7 +38,7 @@ class FootShape:
         return cls(ankle, heel - ankle, toes - ankle)
 
     def rolled(self, pitch: np.ndarray) -> np.ndarray:
-        """Displacement of the ankle from its flat place, the foot rolled on the ground.
+        """Displacement of the ankle from its position with a flat foot, when the foot rolls on the ground.
 
         Args:
             pitch: (frames,) roll [deg], heel up positive.
@@ -51,7 +51,7 @@ class FootShape:
         return pivot - rotate(rotation, pivot)
 
     def foot(self, place: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, toe_pitch: np.ndarray) -> Foot:
-        """Positions and rotations over time of the foot rolled on the ground at a given place.
+        """Positions and rotations over time of a foot that rolls on the ground at a given place.
 
         Args:
             place: (frames, 3) position of the ankle [m] when the foot is flat; y counts from its height at rest.
@@ -72,10 +72,10 @@ class Step:
     Args:
         start: phase at which the foot leaves the ground.
         stop: phase at which it is down again, below 1.
-        x: where it lands, to the left [m].
+        x: lateral position where it lands, positive to the left [m].
         z: where it lands, to the front [m].
-        yaw: how it is turned there [deg].
-        height: how high the ankle is lifted on the way [m].
+        yaw: heading of the foot there [deg].
+        height: largest height of the ankle above its start [m].
     """
 
     start: float

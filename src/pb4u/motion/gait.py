@@ -37,7 +37,7 @@ class Gait:
         hip_yaw: half turn of the pelvis about the vertical.
         hip_list: half tilt of the pelvis sideways.
         chest_yaw: half turn of the chest about the vertical.
-        arm_swing: half swing of the upper arm, whose middle is 4 degrees forward of hanging.
+        arm_swing: amplitude of the swing of the upper arm, about a middle 4 degrees forward of hanging.
         elbow: bend of the elbow.
         elbow_swing: half of how much that changes.
     """
@@ -78,12 +78,12 @@ RUN = Gait(
 
 
 class Gaiting:
-    """A gait fitted to one body: the hips are as high as its legs reach the planned feet.
+    """A gait fitted to one body: the hips are at the height at which its legs reach the planned feet.
 
     Args:
         gait: the gait of a person with legs of `REFERENCE_LEG`.
         humanoid: the body.
-        amplitude: how large the movement is, 1 as it was made.
+        amplitude: size of the movement relative to the original, which is 1.
     """
 
     def __init__(self, gait: Gait, humanoid: Humanoid, amplitude: float = 1.0) -> None:

@@ -27,7 +27,7 @@ _FASTEST_DRIFT, _DRIFT_TIME = 0.015, 1.0
 
 @dataclass(frozen=True)
 class Stance:
-    """A time in which the ball of a foot stands.
+    """A time span in which the ball of a foot stands still.
 
     Args:
         first: first frame.
@@ -51,7 +51,7 @@ def stances(recording: Recording) -> list[Stance]:
         return []
     joints = recording.metres * joint_positions(recording.skeleton, poses)
     lowest = joints[..., 1].argmin(axis=1)
-    # Over a twentieth of a second, so that a tremble is no movement.
+    # Over a twentieth of a second, so that a tremble is not a movement.
     reach = max(1, round(0.025 * poses.fps))
     before = np.maximum(np.arange(len(poses)) - reach, 0)
     after = np.minimum(np.arange(len(poses)) + reach, len(poses) - 1)
@@ -71,8 +71,8 @@ def stances(recording: Recording) -> list[Stance]:
 def on_level_ground(recording: Recording) -> Recording:
     """The recording on a level floor: turned upright where its floor slopes, and shifted in height where that drifts.
 
-    Both are taken from the stances alone and only where a floor explains them: flight stays flight, and stairs, ramps,
-    objects that are stepped on, and a body that lies stay as they are. `Recording.notes` reports what is done.
+    Both are computed from the stances alone, and only if a floor explains them: jumps, stairs, ramps, objects that are
+    stepped on, and lying bodies are unchanged. `Recording.notes` reports what is done.
 
     Args:
         recording: Y up.
@@ -129,14 +129,14 @@ def _without_drift(recording: Recording) -> Recording:
         return recording
     roots = recording.poses.root_positions - drift[:, None] / recording.metres * np.array([0.0, 1.0, 0.0])
     note = (
-        f"{recording.name}: the floor drifts by {100 * np.ptp(drift):.0f} cm over the recording, as the feet tell that "
-        "stand on it; the body is kept on it."
+        f"{recording.name}: standing feet show that the floor drifts by {100 * np.ptp(drift):.0f} cm over the "
+        "recording; the drift is removed."
     )
     return replace(recording, poses=replace(recording.poses, root_positions=roots), notes=(*recording.notes, note))
 
 
 def _drift(stands: list[Stance], times: np.ndarray, fps: float) -> np.ndarray | None:
-    """Height (frames,) [m] by which the floor has drifted at `times` [s]; None where it does not, or is no floor."""
+    """Height (frames,) [m] by which the floor has drifted at `times` [s]; None where it does not, or is not a floor."""
     middle = np.array([0.5 * (stance.first + stance.stop - 1) / fps for stance in stands])
     height = np.array([stance.place[1] for stance in stands])
     # A long stance is better known than one that was nearly a step.

@@ -37,7 +37,8 @@ def read_gvhmr(path: Path) -> Recording:
     if not isinstance(parameters, Mapping):
         shown = names_text(content) if isinstance(content, Mapping) else f"a {type(content).__name__}"
         raise InputError(
-            f"{path} is no result of GVHMR: it has no {_PARAMETERS} and holds {shown}; give its hmr4d_results.pt, or "
+            f"{path} is not a result of GVHMR: it has no {_PARAMETERS} and holds {shown}; give its hmr4d_results.pt, "
+            "or "
             "weights as --model."
         )
     arrays = {name: _array(path, name, value) for name, value in parameters.items() if value is not None}
@@ -51,5 +52,5 @@ def _array(path: Path, name: str, value: Any) -> np.ndarray:
     import torch
 
     if not isinstance(value, torch.Tensor) or value.is_complex() or value.is_sparse or value.is_quantized:
-        raise InputError(f'{path}: its "{name}" is no array of numbers.')
+        raise InputError(f'{path}: its "{name}" is not an array of numbers.')
     return value.detach().double().numpy()

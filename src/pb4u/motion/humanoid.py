@@ -36,7 +36,7 @@ class Humanoid:
         skeleton = body.skeleton
         if target is None:
             raise InputError(
-                f'{body.name}: no motion can be put on a body of the family "{body.family}"; '
+                f'{body.name}: no motion can be retargeted to a body of the family "{body.family}"; '
                 f"known families are {', '.join(TARGETS)}."
             )
         needed = set(target.joints.values()) | (set() if target.partial else set(target.bones))
@@ -47,7 +47,7 @@ class Humanoid:
         self.reference = ReferencePose.of_joints(self.joint, FORWARD)
 
     def bone_of(self, role: str) -> str:
-        """Name of the bone that a role drives alone, the first one where there are several.
+        """Name of the bone that only this role drives, the first of several.
 
         Args:
             role: a limb role.
@@ -108,9 +108,9 @@ class Humanoid:
         return result
 
     def root_positions(self, rotations: np.ndarray, hip_midpoints: np.ndarray) -> np.ndarray:
-        """World positions of the root joint that put the middle of the hips where it is wanted.
+        """World positions of the root joint that put the middle of the hips at given points.
 
-        Holds for skeletons whose hip joints move with the root alone, as all supported ones are.
+        Valid for skeletons whose hip joints move only with the root, as in all supported ones.
 
         Args:
             rotations: (frames, bones, 4) unit quaternions wxyz, from rest.
@@ -127,8 +127,8 @@ class Humanoid:
 
         Args:
             poses: poses of this body.
-            degrees: the swing of a hanging arm; it falls with the cosine of the angle between upper arm and the
-                chest's downward axis, to none for an arm that is level or raised.
+            degrees: the swing of a hanging arm; it decreases with the cosine of the angle between upper arm and the
+                chest's downward axis, to zero for a level or raised arm.
         """
         skeleton = self.body.skeleton
         chest = poses.rotations[:, skeleton.index(self.bone_of("spine_upper"))]
@@ -178,7 +178,7 @@ class Humanoid:
         return shares
 
     def arm_shares(self, side: str) -> np.ndarray:
-        """How much of a turn of the whole arm each bone (bones,) takes: all below the shoulder, a part at it.
+        """Share of a turn of the whole arm for each bone (bones,): 1 below the shoulder, less at it.
 
         Args:
             side: "L" or "R".

@@ -19,13 +19,13 @@ _RUN_UP = 0.12
 def lead_in(poses: PoseSequence, body: ShapedBody, frames: int) -> PoseSequence:
     """Poses with more frames before them, that lead from the body's rest pose to the first one.
 
-    Frame 0 is the rest pose, standing on the ground where and as the first frame of the motion stands and faces; frame
+    Frame 0 is the rest pose on the ground, at the position and heading of the first frame of the motion; frame
     `frames` is the first one of the motion. Bones are interpolated by slerp, away from rest without velocity and into
     the motion with the motion's own. No frame is lower than the straight line from rest to the motion would have it.
 
     Args:
         poses: the motion.
-        body: who performs it.
+        body: the body that performs it.
         frames: how many frames lead in.
 
     Raises:
@@ -59,11 +59,11 @@ def lead_in(poses: PoseSequence, body: ShapedBody, frames: int) -> PoseSequence:
 def arms_held_off(poses: PoseSequence, arms: ArmClearance, frames: int) -> PoseSequence:
     """Poses whose lead-in has its arms swung out of the body, by a turn that fades out within the motion.
 
-    A motion that begins with arms on their way out would have them inside the body before.
+    Otherwise a motion that begins with arms already swung out would have arms inside the body during the lead-in.
 
     Args:
-        poses: that begin with a lead-in; the arms of the motion after it are clear of the body.
-        arms: where those of the body may be.
+        poses: beginning with a lead-in; after it the arms are clear of the body.
+        arms: allowed positions of the arms.
         frames: how many frames lead in.
     """
     turns = arms.turns(PoseSequence(poses.rotations[:frames], poses.root_positions[:frames], poses.fps))
@@ -89,7 +89,7 @@ def _run_up(poses: PoseSequence, times: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def run_up(times: np.ndarray) -> np.ndarray:
-    """Time [s] before its first frame at which a motion is thought to be at `times` < 0 [s]: it slows down backwards.
+    """Time [s] before its first frame to which a motion is extrapolated at `times` < 0 [s]: it slows down backwards.
 
     Args:
         times: (frames,) [s].

@@ -74,8 +74,8 @@ def load_motion(
         crop: (first, stop) frames to keep, counted at the recording's own rate.
         seed: varies tempo and amplitude of a built-in clip a little.
         arms_away_degrees: see `Motion`.
-        raw: whether motion from a video is left as it is, not steadied.
-        recorded_fps: frames per second of the recording, over what its file tells or is taken to have.
+        raw: whether to leave motion from a video unfiltered.
+        recorded_fps: frames per second of the recording; overrides the rate stated or assumed for its file.
 
     Raises:
         InputError: the name is unknown, the file unreadable, or the crop not inside the recording.
@@ -83,13 +83,13 @@ def load_motion(
     name = str(name_or_path)
     if name in CLIPS:
         if crop is not None:
-            raise InputError(f'The built-in motion "{name}" has no end to crop; ask for the frames you want.')
+            raise InputError(f'The built-in motion "{name}" has no end to crop; set --frames instead.')
         if recorded_fps is not None:
             raise InputError(f'The built-in motion "{name}" was not recorded; leave out recorded_fps.')
         return ProceduralMotion(name, seed=seed, arms_away_degrees=arms_away_degrees)
     path, person = recording_file(name)
     if path.suffix.lower() == ".asf":
-        raise InputError(f"{path} holds the skeleton alone; give the .amc file beside it, which holds the motion.")
+        raise InputError(f"{path} holds only the skeleton; give the .amc file beside it, which holds the motion.")
     if path.suffix and path.suffix.lower() not in SUFFIXES:
         raise unread_kind(path, "motion", SUFFIXES)
     if path.suffix.lower() not in SUFFIXES:
@@ -104,15 +104,15 @@ def load_motion(
 
 
 def read_recording(path: Path, person: str | None = None, recorded_fps: float | None = None) -> Recording:
-    """A recording as it is in its file.
+    """A recording as stored in its file.
 
     Args:
         path: the file; its suffix, one of `READERS`, says how it is read.
-        person: whom of a file of several people.
-        recorded_fps: frames per second, over what the file tells or is taken to have.
+        person: the person to read from a file of several.
+        recorded_fps: frames per second; overrides the rate stated or assumed for the file.
 
     Raises:
-        InputError: it cannot be read, lacks its skeleton, tells no rate where its kind does, or has no such person.
+        InputError: it cannot be read, lacks its skeleton or a required frame rate, or has no such person.
     """
     if not path.is_file():
         raise InputError(f'There is no motion file "{path}".')
@@ -126,16 +126,16 @@ def read_recording(path: Path, person: str | None = None, recorded_fps: float | 
     if recorded_fps is not None:
         return replace(recording, poses=replace(recording.poses, fps=recorded_fps))
     if math.isnan(recording.poses.fps):
-        raise InputError(f"{path} does not tell its frame rate; give it with --recorded-fps.")
+        raise InputError(f"{path} does not state its frame rate; give it with --recorded-fps.")
     return recording
 
 
 def read_pickled_motion(path: Path, person: str | None = None) -> Recording:
-    """A recording in a pickle, of which nothing is run: of VTO or HOOD, or one person of WHAM.
+    """A recording in a pickle, read without running its code: of VTO or HOOD, or one person of WHAM.
 
     Args:
         path: the .pkl.
-        person: whom of a file of several people.
+        person: the person to read from a file of several.
 
     Raises:
         InputError: it is neither, or a part is missing or does not fit.

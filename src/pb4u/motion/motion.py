@@ -19,7 +19,7 @@ class Performed(NamedTuple):
 
     Args:
         poses: its poses.
-        notes: plain sentences on what this body does otherwise than the motion says (may be empty).
+        notes: plain sentences on differences between the performance and the motion (may be empty).
     """
 
     poses: PoseSequence
@@ -30,11 +30,11 @@ class Motion(ABC):
     """A motion that any supported skeleton can perform.
 
     Args:
-        name: what the user called it.
+        name: as given by the user.
         duration: length [s]; None for a procedural clip, which has no end.
         notes: plain sentences on what was repaired or ignored while reading (may be empty).
-        arms_away_degrees: hanging arms are swung outward by so much, which keeps them clear of loose garments. None: as
-            the motion has them; arms of a recording by as much as they would go into the body.
+        arms_away_degrees: angle by which hanging arms are swung outward, to keep them clear of loose garments. None: as
+            in the motion; arms of a recording are swung out as far as they would enter the body.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Motion(ABC):
         return self.perform(body, fps, frames, start).poses
 
     def perform(self, body: ShapedBody, fps: float, frames: int, start: int = 0) -> Performed:
-        """What a body does.
+        """The performance of a body.
 
         Args:
             body: who performs.
@@ -69,7 +69,7 @@ class Motion(ABC):
             InputError: a number is out of range, or a recording ends before the last frame.
         """
         if frames < 1 or start < 0 or not fps > 0:
-            raise InputError(f"{self.name}: {frames} frame(s) from frame {start} at {fps:g} fps cannot be given.")
+            raise InputError(f"{self.name}: {frames} frame(s) from frame {start} at {fps:g} fps do not exist.")
         available = self.available_frames(fps)
         if available is not None and start + frames > available:
             raise InputError(
@@ -83,7 +83,7 @@ class Motion(ABC):
         return performed._replace(poses=swung)
 
     def arm_clearance(self, body: ShapedBody) -> ArmClearance | None:
-        """Where the arms of a body may be that are swung out of it; None where they stay as the motion has them.
+        """Allowed positions of arms that are swung out of the body; None if arms follow the motion.
 
         Args:
             body: who performs.
@@ -104,7 +104,7 @@ class Motion(ABC):
 
 
 class MotionAsRecorded(Motion):
-    """A recording that is played as it is, by a body of the recorded shape, with a lead-in of its own."""
+    """A recording played unchanged, by a body of the recorded shape, with a lead-in of its own."""
 
     @property
     @abstractmethod
@@ -113,12 +113,12 @@ class MotionAsRecorded(Motion):
 
     @abstractmethod
     def led_in(self, body: ShapedBody, fps: float, frames: int) -> PoseSequence:
-        """The whole recording with frames before it.
+        """The whole recording after lead-in frames.
 
         Args:
-            body: who performs it.
+            body: the body that performs it.
             fps: frames per second [1/s].
-            frames: number of frames before it.
+            frames: number of lead-in frames.
 
         Raises:
             InputError: the body cannot perform it, or not at this rate.

@@ -28,7 +28,7 @@ class Turn:
     """A rotation Ry(yaw) Rx(pitch) Rz(roll).
 
     Args:
-        pitch: forward [deg], one number or (frames,), as all of them.
+        pitch: forward [deg], one number or (frames,), like the other angles.
         yaw: to the left [deg].
         roll: with the left side up [deg].
     """
@@ -52,7 +52,7 @@ class Arm:
     """Angles of an arm, relative to hanging with the palm to the thigh; mirrored on the right.
 
     Args:
-        flexion: upper arm swung forward [deg], one number or (frames,), as all of them.
+        flexion: upper arm swung forward [deg], one number or (frames,), like the other angles.
         abduction: upper arm lifted sideways [deg].
         sweep: the whole arm turned about the vertical, outward [deg].
         twist: upper arm turned inward about itself [deg].
@@ -124,7 +124,7 @@ def role_rotations(performance: Performance, humanoid: Humanoid) -> np.ndarray:
     """Role rotations of a performance; legs are solved by inverse kinematics.
 
     Args:
-        performance: what the body does.
+        performance: movement of the body.
         humanoid: the body.
 
     Returns:
@@ -207,7 +207,8 @@ def _leg_rotations(
 
 
 def reachable_distance(distance: np.ndarray, leg: float) -> np.ndarray:
-    """Hip-to-ankle distance as far as the leg reaches: unchanged up to `FULL_STRETCH`, then ever closer to locked.
+    """Hip-to-ankle distance limited to the leg's reach: unchanged up to `FULL_STRETCH`, then approaching a straight
+    leg.
 
     Args:
         distance: (frames,) wanted distance [m].

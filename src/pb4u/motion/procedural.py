@@ -36,7 +36,7 @@ _TEMPO_SPREAD, _AMPLITUDE_SPREAD = 0.06, 0.12
 
 
 class ProceduralMotion(Motion):
-    """A built-in clip; the same seed gives the same motion, seed 0 the plain one.
+    """A built-in clip; the same seed gives the same motion, seed 0 the unvaried one.
 
     Args:
         name: one of `CLIPS`.

@@ -19,7 +19,7 @@ class Recording:
     """World rotations of a recorded skeleton from its own reference pose; lengths in any unit, Y up.
 
     Args:
-        name: what the user called it.
+        name: as given by the user.
         source: how its bones play the roles.
         skeleton: the reference pose, facing +Z.
         poses: the performance.
@@ -60,7 +60,8 @@ class Recording:
         return replace(self, poses=poses)
 
     def sampled(self, times: np.ndarray) -> PoseSequence:
-        """Poses at `times` (frames,) [s], within the recording, through its own; no velocity jumps.
+        """Poses at `times` (frames,) [s] within the recording, interpolated through its frames with continuous
+        velocities.
 
         Args:
             times: (frames,) [s].
@@ -169,11 +170,11 @@ _RATES = (0.1, 1e5)
 
 
 def require_rate(fps: float, path: Path) -> None:
-    """Refuse a frame rate that nothing was recorded at.
+    """Refuse an impossible frame rate.
 
     Args:
         fps: frames per second.
-        path: the file that tells it, for the message.
+        path: the file that contains it, for the message.
 
     Raises:
         InputError: it is out of range.
@@ -196,13 +197,13 @@ def finite_frames(values: np.ndarray, path: Path) -> np.ndarray:
         (frames, numbers), the argument itself.
 
     Raises:
-        InputError: a value is a NaN or an infinity, or too large to be an angle or a place; names its frame.
+        InputError: a value is NaN or infinite, or too large for an angle or a position; names its frame.
     """
     bad = ~(np.abs(values) <= _LARGEST).all(axis=1)
     if bad.any():
         raise InputError(
             f"{path}: frame {int(np.argmax(bad))} holds values that are not finite, or beyond {_LARGEST:g} "
             f"({int(bad.sum())} such frame(s)); "
-            f"leave them out or mend the file."
+            f"leave them out or repair the file."
         )
     return values

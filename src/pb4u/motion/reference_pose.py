@@ -34,7 +34,7 @@ class ReferencePose:
 
         Args:
             joint: position (3,) of the upper joint of a limb role, in any unit.
-            t_pose_elbow_flexion: direction in which the left forearm folds in a T-pose; for straight elbows.
+            t_pose_elbow_flexion: direction in which the left forearm bends in a T-pose; for straight elbows.
         """
         directions = {upper: _unit(joint(lower) - joint(upper)) for upper, lower in SEGMENTS.items()}
         flexion = {}
@@ -76,8 +76,9 @@ def leg_length(joint: Callable[[str], np.ndarray]) -> float:
 def alignment(source: ReferencePose, target: ReferencePose) -> np.ndarray:
     """Rotations that bring the limbs of one skeleton at rest into the reference pose of another.
 
-    Torso, clavicles and feet are taken to rest alike. A limb's upper segment takes the smallest rotation, and the
-    upper arm the twist that makes the elbows fold the same way; lower segments unbend from the aligned upper ones.
+    Torso, clavicles and feet are assumed to have the same rest pose. A limb's upper segment takes the smallest
+    rotation, and the upper arm the twist that makes the elbows bend in the same direction; lower segments are
+    straightened relative to the aligned upper ones.
 
     Args:
         source: the pose that they are brought into.

@@ -32,7 +32,7 @@ _START_FRAMES, _START_SPEED = 6, np.deg2rad(3000.0)
 
 
 def without_flips(recording: Recording) -> Recording:
-    """The recording with flips mended: joints that jump, or turn faster than a limb can, are led over it by slerp.
+    """The recording with flips repaired: where joints jump, or turn faster than a limb can, slerp bridges these frames.
 
     Repairs are counted in `Recording.notes`.
 
@@ -76,12 +76,15 @@ def without_false_start(recording: Recording) -> Recording:
     if not bad.any():
         return recording
     first = int(np.flatnonzero(bad)[-1]) + 1
-    note = f"{recording.name}: the first {first} frame(s) are left out: the joints leap from them into what follows."
+    note = (
+        f"{recording.name}: the first {first} frame(s) are left out: the joints leap between them and the "
+        "following frames."
+    )
     return replace(recording.cropped(first, len(recording.poses)), notes=(*recording.notes, note))
 
 
 def with_leap_notes(recording: Recording) -> Recording:
-    """The recording with a note where the whole body leaps farther in a frame than a person can; nothing is mended.
+    """The recording with a note where the whole body leaps farther in a frame than a person can; nothing is repaired.
 
     Args:
         recording: the recording.
@@ -100,7 +103,7 @@ def with_leap_notes(recording: Recording) -> Recording:
 
 
 def without_gaps(recording: Recording, numbers: np.ndarray) -> Recording:
-    """The recording with frames that its file leaves out between their neighbours, by slerp; its notes report it.
+    """The recording with missing frames interpolated between their neighbours, by slerp; its notes report it.
 
     Args:
         recording: the frames that there are.
@@ -117,7 +120,7 @@ def without_gaps(recording: Recording, numbers: np.ndarray) -> Recording:
     if span == frames:
         return recording
     if span > _MOST_MISSING * frames:
-        raise InputError(f"{recording.name}: of {span:,} frames only {frames:,} are there; too few to be a motion.")
+        raise InputError(f"{recording.name}: only {frames:,} of {span:,} frames exist, too few for a motion.")
     times = (numbers - numbers[0]).astype(np.float64)
     grid = np.arange(span, dtype=np.float64)
     upper = np.clip(np.searchsorted(times, grid), 1, frames - 1)

@@ -28,7 +28,7 @@ _WITHIN = 0.85
 
 
 def standing_at_rest(recording: Recording, path: Path) -> Recording:
-    """The same performance in a world with Y up, relative to a rest pose that stands upright facing +Z.
+    """The same performance in a world with Y up, relative to an upright rest pose facing +Z.
 
     Args:
         recording: joints at rest and rotations from there, in the axes of its file.
@@ -72,7 +72,8 @@ def _require_person(recording: Recording, joints: np.ndarray, path: Path) -> Non
         if not np.linalg.norm(at[second] - at[first], axis=1).max() > SHORT * recording.leg_length:
             names = [recording.skeleton.names[recording.joint_index(role)] for role in (first, second)]
             raise InputError(
-                f"{path}: {names[0]} and {names[1]} are in one place, by its rest pose (the OFFSETs of its HIERARCHY); "
+                f"{path}: {names[0]} and {names[1]} are at the same point in its rest pose (the OFFSETs of its "
+                "HIERARCHY); "
                 "export it again with the skeleton that it was recorded with."
             )
     waist = unit(joints[:, trunk(recording)[1]] - hips)

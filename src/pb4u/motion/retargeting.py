@@ -37,7 +37,7 @@ _LEAST_TOLD = 1.0
 class Retargeting:
     """Puts one recording on one body: rotations by role, hips matched, travel scaled by leg length, feet on the floor.
 
-    A recording of the body's own family keeps its rotations and its travel as they are. Either way the performance
+    A recording of the body's own family keeps its rotations and its travel unchanged. Either way the performance
     starts above the origin and faces +Z in its first frame.
 
     Args:
@@ -106,8 +106,8 @@ class Retargeting:
             if apart > (_UNLIKE if "." in first else _UNLIKE_TRUNK):
                 raise InputError(
                     f"{recording.name}: on {self.humanoid.body.name} the {plain} points "
-                    f"{apart:.0f} degrees away from where the recording has it: its rest pose is not one that a person "
-                    "stands in; export it again from a T-pose."
+                    f"{apart:.0f} degrees away from its direction in the recording: the rest pose of the recording is "
+                    "not a standing person; export it again from a T-pose."
                 )
 
     def _floor(self) -> float:

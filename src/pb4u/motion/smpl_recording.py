@@ -73,7 +73,7 @@ def read_amass(path: Path) -> Recording:
 
     Args:
         path: an .npz with `poses` (frames, 72, 156 or 165), `trans` (frames, 3) and a frame rate; the rate is NaN where
-            it has none. Under other usual names of these Y is up, unless the frames tell.
+            it has none. Under other usual names of these entries Y is up, unless the frames show otherwise.
 
     Raises:
         InputError: a key is missing, a shape is wrong, or it is no .npz of plain arrays.
@@ -132,7 +132,7 @@ def _optional(path: Path, key: str) -> np.ndarray | None:
 
 
 def shape_note(path: Path, betas: np.ndarray | None, gender: np.ndarray | None = None) -> tuple[str, ...]:
-    """Which shape of body was recorded, where the file tells one: the body is chosen apart from the motion.
+    """Note on the recorded body shape, if the file has one: the body is chosen independently of the motion.
 
     Args:
         path: the file, for the sentence.
@@ -160,7 +160,7 @@ def vto_recording(path: Path, content: Any) -> Recording:
 
     Args:
         path: the file, for messages.
-        content: what it holds: `poses` (frames, 72), or `body_pose` (frames, 69) and `global_orient` (frames, 3) as
+        content: its entries: `poses` (frames, 72), or `body_pose` (frames, 69) and `global_orient` (frames, 3) as
             HOOD writes them, and `trans` (frames, 3); or `smpl_poses`, `smpl_trans` and `smpl_scaling`.
 
     Raises:
@@ -204,10 +204,10 @@ def smpl_recording(
         path: the file, for messages.
         poses: (frames, 72, 156 or 165) rotation vectors of the joints, each from its parent [rad].
         translations: (frames, 3) [m].
-        fps: frames per second; NaN where the file does not tell.
-        z_up: whether files of this kind have Z up, in the place of Y.
-        told_by: what tells that. But for the program, another axis is taken where people stand along it and a floor at
-            0 fits better; where none fits, the pelvis may tell.
+        fps: frames per second; NaN if the file does not state it.
+        z_up: whether files of this kind have Z up instead of Y.
+        told_by: source of this convention, for the message. Unless the writing program is known, another axis is used
+            if people stand along it and a floor at 0 fits better; if none fits, the pelvis may decide.
 
     Raises:
         InputError: a shape is wrong, there are no frames or values that are not finite.
@@ -273,7 +273,7 @@ def _up_axis(skeleton: Skeleton, sequence: PoseSequence, usual: str, told_by: To
 
 
 def full_poses(path: Path, parameters: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Poses and translations of parameters that come joint by joint, as SMPL and SMPL-X take them.
+    """Poses and translations from separate parameters of SMPL or SMPL-X.
 
     Args:
         path: the file, for messages.
@@ -314,7 +314,7 @@ def full_poses(path: Path, parameters: Mapping[str, np.ndarray]) -> tuple[np.nda
 
 
 def nominal_skeleton(family: str) -> Skeleton:
-    """An average adult with the joints of an SMPL family; fingers lie at the wrists.
+    """An average adult with the joints of an SMPL family; fingers are at the wrists.
 
     Args:
         family: "smpl", "smplh" or "smplx".

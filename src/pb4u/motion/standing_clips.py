@@ -20,7 +20,7 @@ class StandingClip(ABC):
 
     Args:
         humanoid: the body.
-        amplitude: how large the movement is, 1 as it was made.
+        amplitude: size of the movement relative to the original, which is 1.
     """
 
     HALF_WIDTH = 0.15

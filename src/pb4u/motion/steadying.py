@@ -29,7 +29,7 @@ _FARTHEST, _STRAIGHT = 0.12, 0.9995
 
 
 def steadied(recording: Recording) -> Recording:
-    """The recording without what is faster than `CUTOFF`, and without the travel that feet make while they stand.
+    """The recording without frequencies above `CUTOFF`, and without the sliding of standing feet.
 
     `Recording.notes` reports what was done.
 
@@ -52,8 +52,8 @@ def steadied(recording: Recording) -> Recording:
     steady = _held(steady, stands)
     before, after = (_sliding(version, stands) for version in (recording, steady))
     note = (
-        f"{recording.name}: taken from a video, so it is smoothed (what is faster than {CUTOFF:g} Hz) and feet that "
-        f"stand are held: they slid at {100 * before:.0f} cm/s, now {100 * after:.0f}; --raw-motion leaves it as it is."
+        f"{recording.name}: recorded from a video, so motion faster than {CUTOFF:g} Hz is removed and standing feet "
+        f"are fixed: they slid at {100 * before:.0f} cm/s, now at {100 * after:.0f}; --raw-motion switches this off."
     )
     return replace(steady, notes=(*recording.notes, note))
 

@@ -17,7 +17,7 @@ class SpotTurn(StandingClip):
 
     Args:
         humanoid: the body.
-        amplitude: how large the movement is, 1 as it was made.
+        amplitude: size of the movement relative to the original, which is 1.
     """
 
     PERIOD = 1.2
@@ -76,7 +76,7 @@ class Dance(StandingClip):
 
     Args:
         humanoid: the body.
-        amplitude: how large the movement is, 1 as it was made.
+        amplitude: size of the movement relative to the original, which is 1.
     """
 
     BEAT = 0.52

@@ -38,14 +38,14 @@ _STANDS, _UPRIGHT_CAMERA = 0.8, np.sqrt(0.5)
 def read_tram(path: Path) -> Recording:
     """The motion of one person in the world of a camera that moves, an SMPL recording.
 
-    Where the camera's own file tells no gravity, up is where the person stands up to.
+    If the camera's file has no gravity, up is the direction in which the person stands.
 
     Args:
         path: the .npy, with `pred_rotmat` (frames, 24, 3, 3), `pred_trans` (frames, 1, 3), `pred_shape` and `frame`;
-            `camera.npy` lies beside it or one folder up.
+            `camera.npy` must be beside it or one folder up.
 
     Raises:
-        InputError: a file or a part of it is missing or does not fit, or asks for code.
+        InputError: a file or a part of it is missing or does not fit, or would run code.
     """
     person = _dictionary(path, ("pred_rotmat", "pred_trans", "frame"))
     beside = [folder / "camera.npy" for folder in (path.parent, path.absolute().parent.parent)]
@@ -62,15 +62,15 @@ def read_tram(path: Path) -> Recording:
         raise InputError(f"{path}: pred_rotmat has the shape {matrices.shape}, not ({len(frames)}, 24, 3, 3).")
     if turns.shape != (len(places), 3, 3) or frames.dtype.kind not in "iu" or frames.size == 0:
         raise InputError(
-            f"{camera_file}: {keys[0]} has the shape {turns.shape}, where one turn a frame belongs; run TRAM again."
+            f"{camera_file}: {keys[0]} has the shape {turns.shape}; it must hold one rotation a frame; run TRAM again."
         )
     if frames.min() < 0 or frames.max() >= len(turns):
         raise InputError(
-            f"{path} has frame {frames.max()}, and {camera_file} has {len(turns)}; they are of two videos: put its own "
-            "camera.npy beside it."
+            f"{path} has frame {frames.max()}, and {camera_file} has {len(turns)}; the two come from different "
+            "videos: put its own camera.npy beside it."
         )
     if not (np.isfinite(matrices).all() and np.isfinite(turns).all() and (np.linalg.det(matrices) > 0.1).all()):
-        raise InputError(f"{path}: pred_rotmat holds what is no rotation, or is not finite; run TRAM again.")
+        raise InputError(f"{path}: pred_rotmat holds values that are not finite or not a rotation; run TRAM again.")
     flip = np.eye(3) if in_world else _UPRIGHT
     world, origin = flip @ turns[frames], places[frames] @ flip.T
     matrices[:, 0] = world @ matrices[:, 0]

@@ -18,15 +18,15 @@ _FITS, _BETTER, _AT_ORIGIN = 0.12, 0.1, 0.02
 
 
 def standing_axis(recording: Recording, joints: np.ndarray, rest: np.ndarray | None) -> np.ndarray:
-    """The axis (3,) of a file that is up, where its format leaves it open.
+    """The up axis (3,) of a file whose format does not define it.
 
-    It is the one that the rest pose and the frames both stand along. Else the rest pose lies where people stand along
-    another axis, Y is usual, and the floor is to lie at 0.
+    It is the axis along which people stand both in the rest pose and in the frames. Otherwise Y is preferred and the
+    floor must be at 0; the rest pose lies down if people stand along another axis.
 
     Args:
         recording: how its bones play the roles.
-        joints: (frames, bones, 3) places of its joints in some frames.
-        rest: (3,) in which direction a person stands in the rest pose; None where no one does.
+        joints: (frames, bones, 3) positions of its joints in some frames.
+        rest: (3,) direction of a standing person in the rest pose; None if it does not stand.
     """
     feet, hips, shoulders = (
         0.5 * (joints[:, recording.joint_index(f"{role}.L")] + joints[:, recording.joint_index(f"{role}.R")])

@@ -34,11 +34,11 @@ def wham_recording(path: Path, content: Mapping[Any, Any], person: str | None) -
 
     Args:
         path: the file, for messages.
-        content: what it holds: `pose_world` (frames, 72), `trans_world` (frames, 3), `betas` and `frame_ids` of each.
-        person: which one; may be left out where there is one.
+        content: its entries: `pose_world` (frames, 72), `trans_world` (frames, 3), `betas` and `frame_ids` of each.
+        person: key of the person; optional if there is only one.
 
     Raises:
-        InputError: it is of nobody, has no such person or several of whom none is chosen, or a part does not fit.
+        InputError: it has no person, not the given one, or several without a choice, or a part does not fit.
     """
     people = {str(number): entry for number, entry in content.items()}
     if not people:
@@ -53,8 +53,8 @@ def wham_recording(path: Path, content: Mapping[Any, Any], person: str | None) -
     entry = people[person]
     if "pose_world" not in entry or "trans_world" not in entry:
         raise InputError(
-            f"{path}: person {person} has no pose_world and trans_world, but {names_text(entry)}; motion before a "
-            "camera alone, as of VIBE and PHALP, is not read: give what WHAM, TRAM or GVHMR writes."
+            f"{path}: person {person} has no pose_world and trans_world, but {names_text(entry)}; motion relative to "
+            "a camera, as VIBE and PHALP write it, is not read: give a file that WHAM, TRAM or GVHMR writes."
         )
     poses, translations = (stored_numbers(entry[key], path, key) for key in ("pose_world", "trans_world"))
     recording = smpl_recording(path, poses, translations, _RATE, told_by="its program")

@@ -44,7 +44,7 @@ class FurtherLoss(Protocol):
 
         Args:
             before: (vertices, 3) positions before the step [m].
-            after: (vertices, 3) positions after it [m].
+            after: (vertices, 3) positions after the step [m].
             progress: fraction of the training's budget that is spent.
         """
 
@@ -54,9 +54,9 @@ class Derived:
     """Data that a method derives once from the garments of a pack, beyond their meshes; none by default.
 
     Args:
-        edges: undirected edges (edges, 2) int64 vertex indices within one garment, by kind, such as "coarse"; they
-            carry the columns of mesh edges and share their normaliser.
-        finder: finds edges at every step; they carry the layout's `found_edge` columns.
+        edges: undirected edges (edges, 2) int64 vertex indices within one garment, by kind, such as "coarse"; they have
+            the columns of mesh edges and share their normaliser.
+        finder: finds edges at every step, with the layout's `found_edge` columns.
         rest: tensors handed on in `Graph.rest`, by name.
         losses: losses that training minimises besides the incremental potential.
     """
@@ -75,17 +75,18 @@ class NetworkConfiguration(ABC):
         width: number of columns of all latents and hidden layers.
         layout: the columns read.
         world_edges: rule for the body vertices that a garment vertex has edges to.
-        pins: rule for what is seen of pinned vertices.
-        passes: evaluations of the network in one time step, each adding to the accelerations of the one before; 1 in
+        pins: rule for the positions and velocities of pinned vertices that the network gets.
+        passes: evaluations of the network in one time step, each adding to the accelerations of the previous one; 1 in
             the paper. Above 1 the layout should name "descent" and "advance".
         warm_start_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
-            flight, is taken; none in the paper. With any the layout should name the same two.
-        conjugate: join each pass with the move of the one before, at the lengths of least potential; not in the paper.
+            flight, is used; none in the paper. With any the layout should name the same two.
+        conjugate: combine each pass with the move of the previous one, with the step lengths of least potential; not in
+            the paper.
         descent_size: RMS to which each garment's gradient feature is normalised, in edge lengths; accelerations are
-            scaled back, so that a pass is as good near the minimum as far from it. 0 shows it as it is, and the paper
-            shows none.
-        further_passes: most evaluations beyond `passes`, each made where the pass before lowered the energy much; for
-            networks that are `conjugate`.
+            scaled back, so that a pass is as good near the minimum as far from it. 0 does not normalise it; the paper
+            has no such feature.
+        further_passes: largest number of evaluations beyond `passes`, each made only if the previous pass lowered the
+            energy enough; for `conjugate` networks.
 
     Raises:
         InputError: less than 1 pass, further passes of a network that is not conjugate, a width below 1, a count below
@@ -110,13 +111,16 @@ class NetworkConfiguration(ABC):
             if isinstance(value, int) and not 0 <= value <= MOST_COUNTED:
                 raise InputError(f"network.{entry.name} must be from 0 to {MOST_COUNTED}, not {value}.")
         if self.passes < 1:
-            raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
+            raise InputError(f"A network needs at least 1 pass a step, not {self.passes}.")
         if self.further_passes and not self.conjugate:
-            raise InputError("Only the search of conjugate passes tells whether a further one is worth its time.")
+            raise InputError(
+                "further_passes needs conjugate passes: only their line search can tell whether another "
+                "pass is worth its time."
+            )
         if not 0.0 <= self.descent_size <= 1.0:
-            raise InputError(f"A descent is shown at a size from 0 to 1 edge lengths, not {self.descent_size}.")
+            raise InputError(f"network.descent_size must be from 0 to 1 edge lengths, not {self.descent_size}.")
         if not all(0.0 < share <= 1.0 for share in self.warm_start_shares):
-            raise InputError(f"Shares of the body's motion lie above 0 and up to 1, not {self.warm_start_shares}.")
+            raise InputError(f"network.warm_start_shares must be above 0 and at most 1, not {self.warm_start_shares}.")
 
     @abstractmethod
     def network(self) -> GraphNetwork:
@@ -124,7 +128,7 @@ class NetworkConfiguration(ABC):
 
 
 class GraphNetwork(nn.Module, ABC):
-    """A network on normalised features; a baseline differs from ours in this and in nothing else.
+    """A network on normalised features; baselines differ from ours only in this class.
 
     Args:
         configuration: the columns read, the world edges and the number of passes in a step.
@@ -184,7 +188,7 @@ class PreparedGarments:
         steps: propagation steps of each garment.
         scale: factors on the accelerations, or None for 1.
         losses: losses that the method minimises in training besides the incremental potential.
-        descent_size: RMS to which gradient features are normalised, in edge lengths; 0 leaves them as they are.
+        descent_size: RMS to which gradient features are normalised, in edge lengths; 0 does not normalise them.
     """
 
     builder: GraphBuilder
@@ -217,7 +221,7 @@ class PreparedGarments:
 
 
 def require_propagation_steps(number: int) -> None:
-    """Refuse a number of propagation steps that no mesh calls for.
+    """Refuse a number of propagation steps out of range.
 
     Args:
         number: the number K.
@@ -262,7 +266,7 @@ class AccelerationModel(nn.Module):
 
         Args:
             garments: on the device to compute on.
-            propagation_steps: overrides what the resolution asks for.
+            propagation_steps: overrides the number that follows from the resolution.
             dtype: precision of features and accelerations.
 
         Raises:
@@ -284,8 +288,8 @@ class AccelerationModel(nn.Module):
         """Copy that computes the same without gradients.
 
         Perceptrons over several parts, nine tenths of the products, hold their weights, and so multiply, in
-        `precision`. Encoders, decoder, latents, norms, sums over nodes and accelerations keep float32: features rounded
-        to bfloat16 alone made three quarters of the error.
+        `precision`. Encoders, decoder, latents, norms, sums over nodes and accelerations keep float32: rounding the
+        features alone to bfloat16 caused three quarters of the error.
 
         Args:
             precision: of the products, such as `torch.bfloat16`.

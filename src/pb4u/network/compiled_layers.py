@@ -44,17 +44,18 @@ class Ends:
     receivers: Incidence
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sender (edges,) int64 of each edge, any where there is none, and first edge (nodes + 1,) of each receiver."""
+        """Sender (edges,) int64 of each edge (arbitrary if it has none), and first edge (nodes + 1,) of each
+        receiver."""
         senders = self.receivers if self.senders is None else self.senders
         return senders.index.numpy(), self.receivers.offsets.numpy()
 
 
 def are_compiled(values: Tensor, weight: Tensor, *receivers: Incidence) -> bool:
-    """Whether these layers take `values`: a processor computes in float32 or float64.
+    """Whether these layers can process `values`: on a processor, in float32 or float64.
 
     Args:
         values: (rows, columns) that enter.
-        weight: of the layers that they meet, of any shape.
+        weight: of the layers to be applied, of any shape.
         receivers: of the edges that they pass over; the kernels have no row for edges that are only room.
     """
     return (
@@ -71,7 +72,7 @@ def normed_perceptron(values: Tensor, weight: Tensor, bias: Tensor, layers: Laye
     Args:
         values: (rows, inputs) [1] that enter.
         weight: (width, inputs) [1] of the first layer.
-        bias: (width,) [1] of it.
+        bias: (width,) [1] of this layer.
         layers: the second layer, the last and the norm, all `width` wide.
     """
     output: Tensor = _Perceptron.apply(  # type: ignore[no-untyped-call]
@@ -89,13 +90,13 @@ def passed_edges(
     layers: Layers,
     ends: Ends,
 ) -> tuple[Tensor, Tensor]:
-    """New latents (edges, width) of edges, and sums (receivers, width) of what was added to them, all [1].
+    """New latents (edges, width) of edges, and sums (receivers, width) of their changes, all [1].
 
     Args:
         latents: (edges, width) [1] before.
         from_senders: (nodes, width) [1] shares of senders in the first layer's sum.
         from_receivers: (receivers, width) [1] shares of receivers.
-        weight: (width, width) [1] columns of the first layer that meet the latents.
+        weight: (width, width) [1] columns of the first layer for the latents.
         bias: (width,) [1] of that layer.
         layers: the second, the last and the norm.
         ends: of the edges.
@@ -120,7 +121,7 @@ def propagated(
         steps: how many.
         state: (vertices, width) [1] before.
         constants: (edges, width) [1] for each set of edges, the part of the first layer's sum that stays the same.
-        weights: (width, width) [1] each, columns of the first layer that meet senders and receivers.
+        weights: (width, width) [1] each, columns of the first layer for senders and receivers.
         layers: the second and the last of a message, and the norm of a step.
         decay: gamma.
         inflows: ends of each set of edges.

@@ -27,7 +27,7 @@ class EncodeProcessDecode(GraphNetwork):
         configuration: width, layout and world edges.
         mesh_kinds: kinds of edges with the columns of mesh edges.
         found_kinds: kinds with the columns of edges found at every step.
-        levels: number of labels of a vertex's coarsest level, or 0 where nodes carry none.
+        levels: number of labels of a vertex's coarsest level, or 0 if nodes have none.
     """
 
     decoder: MLP
@@ -62,7 +62,7 @@ class EncodeProcessDecode(GraphNetwork):
         return nodes, {name: self.edge_encoders[s.kind](s.features) for name, s in graph.edges.items()}
 
     def node_inputs(self, graph: Graph) -> dict[str, Tensor]:
-        """What the encoder of nodes reads, (nodes, columns) [1] by set name: features, and embeddings of labels.
+        """Input of the encoder of nodes, (nodes, columns) [1] by set name: features, and embeddings of labels.
 
         Args:
             graph: features of nodes and edges.

@@ -20,7 +20,7 @@ class InteractionBlock(nn.Module):
 
     Args:
         width: number of columns of all latents and hidden layers.
-        kinds: kinds of edges that messages pass over; others are left out.
+        kinds: kinds of edges on which messages are computed; others are ignored.
     """
 
     def __init__(self, width: int, kinds: Sequence[str]) -> None:
@@ -43,8 +43,8 @@ class InteractionBlock(nn.Module):
             nodes: latents (nodes, width) [1] by set name.
             edges: latents (edges, width) [1] by set name.
             graph: the ends of the edges.
-            receivers: node sets still wanted, all by default; where given, edge latents are left as they are, since
-                nothing reads them again.
+            receivers: node sets to update, all by default; if given, edge latents are not updated, since nothing reads
+                them again.
             masks: (edges, 1) dimensionless factors on the messages by set name, 1 where a set is not named.
         """
         names, masks = list(nodes) if receivers is None else receivers, masks or {}

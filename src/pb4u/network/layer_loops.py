@@ -41,8 +41,8 @@ def most_rows(offsets: np.ndarray) -> int:
 def turned(layers: tuple) -> tuple:
     """The `layers` as `perceptron` and `edge_pass` read them.
 
-    Weights are (inputs, width), by which the library multiplies half as fast again. The last layer's outputs have no
-    mean over columns, which the norm would take out.
+    Weights are (inputs, width), by which the library multiplies half as fast again. The last layer's outputs have zero
+    mean over columns, which the norm would subtract anyway.
     """
     width, last, bias = layers[4].shape[0], layers[4].copy(), layers[5].copy()
     for column in range(width):

@@ -124,17 +124,17 @@ class SplitMLP(MLP):
         return self.after_first(reduce(torch.add, shares) + self.first.bias)
 
     def project(self, part: int, values: Tensor, bias: bool = False) -> Tensor:
-        """Share (..., width) [1] of one part in the first layer's sum.
+        """Contribution (..., width) [1] of one part to the first layer's sum.
 
         Args:
             part: number of the part.
             values: (..., columns of that part) [1].
-            bias: whether to add the layer's bias, which exactly one part of a sum does.
+            bias: whether to add the layer's bias; exactly one part of a sum must.
         """
         return F.linear(values.to(self.precision), self.weight_of(part), self.first.bias if bias else None)
 
     def weight_of(self, part: int) -> Tensor:
-        """Columns (width, columns of that part) [1] of the first layer's weights that one part meets.
+        """Columns (width, columns of that part) [1] of the first layer's weights for one part.
 
         Args:
             part: number of the part.

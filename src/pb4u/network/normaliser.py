@@ -17,8 +17,8 @@ class Normaliser(nn.Module):
     """Centres and scales columns by statistics gathered during warm-up, then frozen (reference 1.3).
 
     `sums` holds everything gathered, [garments, sum of means, sum of mean squares] in float64: add it over devices to
-    reduce, then call `refresh`. Columns that are not normalised pass through unchanged. Before anything is gathered the
-    mean is 0 and the spread the feature's typical one.
+    reduce, then call `refresh`. Columns that are not normalised pass through unchanged. Without statistics the mean is
+    0 and the spread the feature's typical one.
 
     Args:
         columns: the features, in order.
@@ -67,7 +67,7 @@ class Normaliser(nn.Module):
 
     @torch.no_grad()
     def gather(self, values: Tensor, world: Tensor, most: int) -> None:
-        """Add one step to the statistics: each world its mean and mean square once, however many rows it has.
+        """Add one step to the statistics: the mean and mean square of each world, whatever its number of rows.
 
         Args:
             values: (rows, width), each column in its unit.

@@ -23,10 +23,10 @@ _MOST_SWEEPS = 1000
 class SurfaceLowPass:
     """The operator (M + l^2 C)^-1 M, M the vertices' areas and C the stiffness of the Laplacian by cotangents.
 
-    On a plane it multiplies a wave of length w by 1 / (1 + (2 pi l / w)^2); what is constant over a piece it keeps. At
-    an edge whose cotangents sum to less than nothing the stiffness is 0, so that no value leaves the range of those
-    given. At pinned vertices the smooth part is 0, whatever is given: what a network predicts there is written over, so
-    that a correction beside them ends at them and is never long.
+    On a plane it multiplies a wave of length w by 1 / (1 + (2 pi l / w)^2); values that are constant over a piece are
+    unchanged. An edge with a negative sum of cotangents gets the stiffness 0, so that no value leaves the range of the
+    input. At pinned vertices the smooth part is always 0: predictions there are overwritten, so that a correction near
+    them ends at them and has no long wavelength.
 
     On a processor the matrix is factorised once; elsewhere a fixed number of Chebyshev sweeps solves for it, without
     waiting for the device.

@@ -19,9 +19,9 @@ class UpdateScale:
     """Factors on the accelerations of a pack.
 
     Args:
-        wrinkles: (vertices, 1) dimensionless factors; on what is short alone, where there is a low-pass.
-        bulk: (vertices, 1) dimensionless factors on what is long, or None where nothing tells them apart.
-        low_pass: gives what is long, or None.
+        wrinkles: (vertices, 1) dimensionless factors; with a low-pass, only for short wavelengths.
+        bulk: (vertices, 1) dimensionless factors for long wavelengths; None without a low-pass.
+        low_pass: filter that gives the long wavelengths, or None.
     """
 
     wrinkles: Tensor
@@ -75,7 +75,7 @@ class PerVertexScaling:
         return lengths / self.reference_length
 
     def low_pass(self, garments: PackedGarments) -> SurfaceLowPass | None:
-        """Low-pass filter that separates bulk from wrinkles; None where both have one factor.
+        """Low-pass filter that separates bulk from wrinkles; None if both have the same factor.
 
         Args:
             garments: the pack.
@@ -126,7 +126,7 @@ class BandSplitScaling(PerVertexScaling):
         low_pass_length: l of the low-pass [m]; waves of 2 pi l are halved.
 
     Raises:
-        InputError: a low-pass of nothing, or of a metre or more, which leaves no bulk.
+        InputError: a low-pass length of 0, or of a metre or more, which leaves no bulk.
     """
 
     low_pass_length: float = 0.09
@@ -149,9 +149,9 @@ class BandSplitScaling(PerVertexScaling):
         for garment, length in zip(garments.garments, garments.mean_edge_lengths, strict=True):
             if length >= self.low_pass_length:
                 raise InputError(
-                    f"{garment.name}: its edges are {1e3 * length:.0f} mm long on average, and a low-pass of "
-                    f"{1e3 * self.low_pass_length:.0f} mm tells no bulk from wrinkles there; take more triangles, or "
-                    "another scaling than band-split."
+                    f"{garment.name}: its edges are {1e3 * length:.0f} mm long on average, too long for a low-pass of "
+                    f"{1e3 * self.low_pass_length:.0f} mm to separate wrinkles from the overall motion; ask for more "
+                    "triangles, or use a scaling other than band-split."
                 )
         return SurfaceLowPass(garments, self.low_pass_length)
 
@@ -168,7 +168,7 @@ SCALINGS: Mapping[str, type[PerVertexScaling] | type[NoScaling]] = {
 
 
 def scaling_name(scaling: Scaling) -> str:
-    """Name of a rule, as `--scaling` takes it.
+    """Name of a rule for `--scaling`.
 
     Args:
         scaling: the rule.
@@ -185,7 +185,7 @@ def scaling_of(scaling: Scaling, garments: PackedGarments, graph: GarmentGraph) 
         graph: its static graph.
 
     Raises:
-        InputError: the edges of a garment are longer than what the rule tells apart.
+        InputError: the edges of a garment are too long for the rule's low-pass.
     """
     factors = scaling.factors(graph)
     if factors is None:
@@ -196,10 +196,10 @@ def scaling_of(scaling: Scaling, garments: PackedGarments, graph: GarmentGraph) 
 
 @dataclass(frozen=True)
 class SwitchedScaling:
-    """Another rule than that of the training, on the same weights; both are one at the training's own resolution.
+    """Another rule than that of the training, for the same weights; the two agree at the training's own resolution.
 
-    There a garment's edges have the length L_t, and the weights have learnt beside the factor that their own rule has
-    for it. The other rule's factor, relative to that for L_t and at most 1, multiplies this one.
+    There a garment's edges have the length L_t, and the weights were trained together with their own rule's factor for
+    L_t. The other rule's factor, relative to that for L_t and at most 1, multiplies this one.
 
     Args:
         used: the rule.
@@ -221,7 +221,7 @@ class SwitchedScaling:
             graph: its static graph.
 
         Raises:
-            InputError: the edges of a garment are longer than what the rule tells apart.
+            InputError: the edges of a garment are too long for the rule's low-pass.
         """
         trained = torch.tensor([self._trained_length(garments, k) for k in range(garments.garment_count)])
         lengths = trained.to(graph.incident_length)[graph.node_owner][:, None]
@@ -240,7 +240,7 @@ class SwitchedScaling:
 
 
 def with_scaling(scaling: Scaling, name: str) -> Scaling:
-    """The rule of a name, with the reference length of another rule where both have one.
+    """The named rule, with the reference length of another rule if both have one.
 
     Args:
         scaling: the other rule.

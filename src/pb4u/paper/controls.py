@@ -27,14 +27,14 @@ GRADIENT_DESCENT, WARM_START = "gradient-descent", "warm-start"
 
 @dataclass(eq=False)
 class ControlSimulator(StepwiseSimulator):
-    """A step as the default network takes it, with gradient descent or nothing in the place of the network.
+    """The default network's step, with gradient descent or nothing instead of the network.
 
-    `--model gradient-descent` takes the network's own input feature, Jacobi descent of the potential, for its
-    prediction; `--model warm-start` leaves the step where it starts. What a network is better by is its own.
+    `--model gradient-descent` uses the network's own input feature, Jacobi descent of the potential, as its prediction;
+    `--model warm-start` keeps the start of the step. The difference to these is the network's own contribution.
 
     Args:
         name: one of the two.
-        like: network whose start, search and number of passes are taken.
+        like: network with the start, search and number of passes to use.
         passes: gradients in a step; None is the number of the network.
     """
 
@@ -68,13 +68,13 @@ CONTROLS.update(dict.fromkeys((GRADIENT_DESCENT, WARM_START), ControlSimulator))
 
 
 class GradientPass:
-    """The gradient feature itself as the pass: what a network adds is judged against it.
+    """The gradient feature itself as the pass, for comparison with a network.
 
     Args:
         garments: garments of the steps, float64 on the CPU.
         potential: the energies that are descended.
         passes: number of gradients in a step.
-        further: most gradients beyond those, while a pass lowers the energy much.
+        further: largest number of additional passes, made while a pass lowers the energy enough.
     """
 
     def __init__(

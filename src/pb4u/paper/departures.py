@@ -111,7 +111,7 @@ def _additions(configuration: NetworkConfiguration) -> list[str]:
     if configuration.further_passes:
         lines.append(f"Up to {configuration.further_passes} more passes follow while they lower the energy by much.")
     if configuration.descent_size:
-        lines.append("The gradient feature is normalised, and what is predicted from it scaled back.")
+        lines.append("The gradient feature is normalised, and the prediction from it is scaled back.")
     return lines
 
 

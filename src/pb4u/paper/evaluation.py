@@ -23,18 +23,18 @@ def evaluate(
     say: Callable[[str], None] = lambda sentence: None,
     progress: Callable[[str], AbstractContextManager[Progress]] = quiet,
 ) -> dict[str, Any]:
-    """Run a protocol into a folder, going on where an earlier run stopped, and write its report.
+    """Run a protocol into a folder, continuing where an earlier run stopped, and write its report.
 
     Args:
-        request: what to run.
-        out: folder of the run, made where it is not there.
-        pool: makes those who do the rollouts; called only where some are missing.
-        retry: try those again that failed before.
-        say: takes sentences on how it goes.
+        request: options of the run.
+        out: folder of the run, created if absent.
+        pool: makes the workers; called only where rollouts are missing.
+        retry: try failed rollouts again.
+        say: called with sentences on the progress.
         progress: opens a display for a label; none by default.
 
     Returns:
-        The content of results.json. `failures` in it lists the rollouts that could not be made.
+        The content of results.json. `failures` in it lists the rollouts that failed.
 
     Raises:
         InputError: something is unknown or unusable; before any work.

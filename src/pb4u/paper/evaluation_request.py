@@ -11,11 +11,11 @@ from pb4u.options import Flag, require_fitting
 
 @dataclass(frozen=True)
 class EvaluationRequest:
-    """What is evaluated; None keeps the protocol's own choice.
+    """Options of an evaluation; None keeps the protocol's own choice.
 
     Args:
         protocol: resolution, unseen (garments), depth (propagation steps), efficiency (time and loss), ablation,
-            controls (what the network is worth), or robustness (drawn scenes).
+            controls (the network's contribution), or robustness (random scenes).
         models: solver, quick-solver, skinning, networks by name or .safetensors files. Default: the protocol's.
         garments: Built-in garments or mesh files. Default: the protocol's.
         motions: Built-in motions (walk, walk-7 with a seed), CMU trials (07_02) or files. Default: the protocol's.
@@ -30,7 +30,7 @@ class EvaluationRequest:
         contact: Push the garment out of the body after each step.
         device: Where networks compute: auto, cpu or cuda.
         floors: Reference energies: run the solver on scenes that lack a stored one, or use stored ones.
-        measure: Also measure excess, what single steps leave above their minimum, and the distance from the solver's
+        measure: Also measure excess, the energy of single steps above their minimum, and the distance from the solver's
             rollout: two solves a frame for each scene. `controls` always does.
         scenes: Scenes that robustness draws. Default: 64.
         seed: Seed of the scenes that robustness draws.

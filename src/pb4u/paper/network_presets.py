@@ -24,11 +24,10 @@ Configuration = TypeVar("Configuration", bound=NetworkConfiguration)
 
 
 def with_start_shares(configuration: Configuration) -> Configuration:
-    """Copy of `configuration` whose steps start where the potential is least along the body's motion.
+    """Copy of `configuration` whose steps start at the least potential along the body's motion.
 
-    Why: docs/design/time_step.md. Free flight and quarters of the displacement that the body alone would give the
-    garment are tried; the network reads the direction of descent of the potential at the start, and the acceleration
-    from free flight to it.
+    Why: docs/design/time_step.md. Free flight and quarters of the skinned displacement are tried; the network gets the
+        descent direction of the potential at the start, and the acceleration from free flight to it.
 
     Args:
         configuration: of a network that starts in free flight.

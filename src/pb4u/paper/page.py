@@ -19,7 +19,7 @@ class Table:
         caption: sentence below it.
         head: heads of the columns.
         rows: as many texts each.
-        words: number of columns, from the left, that hold words and not numbers.
+        words: number of columns, from the left, with words instead of numbers.
     """
 
     title: str
@@ -37,7 +37,7 @@ class Plot:
         name: file name without suffix.
         title: heading above the picture.
         caption: sentence below it.
-        figure: what is drawn.
+        figure: the drawing.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Remark:
-    """A part of the report that is text alone.
+    """A part of the report that is only text.
 
     Args:
         title: heading above the text; "" for none.

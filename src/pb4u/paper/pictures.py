@@ -69,11 +69,11 @@ def _reference(case: Case, summary: Summary) -> RunJob | None:
 
 
 def draw_still(still: Path, frame: int = 0) -> np.ndarray | None:
-    """Picture (height, width, 3) uint8 of a kept frame; None where it is not there or cannot be read.
+    """Picture (height, width, 3) uint8 of a kept frame; None if it does not exist or cannot be read.
 
     Args:
-        still: file of the kept frames.
-        frame: which of them: the first is one moment for all models, the last the worst of its rollout.
+        still: file with the kept frames.
+        frame: index among them: the first is the same moment for all models, the last the worst of its rollout.
     """
     try:
         trajectory = Trajectory.open(still)

@@ -25,7 +25,7 @@ def across_levels(
 
     Args:
         summary: the run.
-        quantities: a panel each, where the run has values of it.
+        quantities: one panel each, if the run has values.
     """
     levels = summary.plan.protocol.levels
     lines = {name: [summary.cell(level, *column) for level in levels] for name, column in summary.columns.items()}
@@ -47,7 +47,7 @@ def over_time(summary: Summary, term: str, preferred: str) -> list[Block]:
     Args:
         summary: the run.
         term: the energy.
-        preferred: the motion to show where the run has it; its first otherwise.
+        preferred: the motion to show if the run has it; otherwise its first.
     """
     models, level = summary.plan.protocol.models, summary.plan.protocol.levels[-1]
     motions = [row.case.motion for row in summary.rows]

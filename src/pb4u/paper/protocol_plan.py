@@ -61,15 +61,15 @@ _TRIAL = re.compile(r"\d+_\d+")
 
 @dataclass(frozen=True)
 class Case:
-    """A job in its place in the tables.
+    """A job with its position in the tables.
 
     Args:
         level: name of the resolution.
-        motion: what the motion is called.
+        motion: name of the motion.
         seed: of a built-in motion; None for a recording.
         job: the rollout.
-        floor: what the ratio is taken to: a rollout of the solver, the stored mean energies, or None.
-        number: of the scene, where scenes are drawn.
+        floor: reference of the ratio: a rollout of the solver, the stored mean energies, or None.
+        number: of the scene, if scenes are drawn at random.
     """
 
     level: str
@@ -87,13 +87,13 @@ class Case:
 
 @dataclass(frozen=True)
 class Plan:
-    """The rollouts of a run, and the cases that its tables are made of.
+    """The rollouts of a run, and the cases in its tables.
 
     Args:
-        protocol: narrowed to what was asked for.
-        cases: everything the tables are made of.
+        protocol: restricted to the request.
+        cases: all entries of the tables.
         jobs: the rollouts to make, each once, in the order to make them; the solver's for the floors among them.
-        absent: a sentence on each thing left out.
+        absent: a sentence on each omitted part.
     """
 
     protocol: Protocol
@@ -114,7 +114,7 @@ def plan(request: EvaluationRequest) -> Plan:
     """The rollouts of a request.
 
     Args:
-        request: what was asked for.
+        request: options of the evaluation.
 
     Raises:
         InputError: something is unknown, unusable or empty.
@@ -131,7 +131,7 @@ class _Planning:
         protocol = PROTOCOLS[request.protocol]
         if request.recordings is not None and not (request.motions or protocol.recordings):
             raise InputError(
-                f"The protocol {request.protocol} has no recordings of its own; name those to take with --motions, "
+                f"The protocol {request.protocol} has no recordings of its own; name those to use with --motions, "
                 "such as 07_02."
             )
         self.request, self.planner = request, JobPlanner()
@@ -286,14 +286,17 @@ def _check_numbers(request: EvaluationRequest) -> None:
         )
     drawing = ", ".join(name for name, protocol in PROTOCOLS.items() if protocol.scenes)
     if not draws and request.scenes is not None:
-        raise InputError(f"--scenes are of protocols that draw their scenes: {drawing}.")
+        raise InputError(f"--scenes applies only to protocols that draw scenes at random: {drawing}.")
     if not draws and request.seed:
-        raise InputError(f"--seed draws the scenes of {drawing}; elsewhere motions have seeds, as --motions walk-7.")
+        raise InputError(
+            f"--seed is for the scenes of {drawing}; in other protocols the seed is part of the motion's "
+            "name, as in --motions walk-7."
+        )
     if request.recordings is not None and not request.recordings.is_dir():
         raise InputError(f"There is no folder of recordings {request.recordings}.")
     for name in ("models", "garments", "motions", "bodies", "levels", "propagation_steps"):
         if getattr(request, name) == ():
-            raise InputError(f"--{name.replace('_', '-')} names nothing; give at least one, or leave it out.")
+            raise InputError(f"--{name.replace('_', '-')} is empty; give at least one name, or leave it out.")
 
 
 def _check_told_apart(kind: str, names: dict[str, str]) -> None:
@@ -314,7 +317,7 @@ def _level(name: str) -> tuple[str, int]:
     triangles = round(float(match[1]) * (1000 if match[2] else 1))
     if not FEWEST_TRIANGLES <= triangles <= MOST_TRIANGLES:
         raise InputError(
-            f"A level has between {FEWEST_TRIANGLES} and {MOST_TRIANGLES} triangles; {name} has {triangles}."
+            f"A level must have between {FEWEST_TRIANGLES} and {MOST_TRIANGLES} triangles; {name} has {triangles}."
         )
     names = {count: key for key, count in LEVELS.items()}
     return names.get(triangles, f"{triangles // 1000}K" if triangles % 1000 == 0 else str(triangles)), triangles
@@ -339,4 +342,4 @@ def _motion(name: str, recordings: Path | None) -> _Motion:
         if not file.is_file():
             raise InputError(f"There is no motion file {file}.")
         return _Motion(name, None, file.stem if person is None else f"{file.stem}_{person}")
-    raise InputError(f"{unknown_name('motion', name, motion_names())} CMU trials are written as 07_02.")
+    raise InputError(f"{unknown_name('motion', name, motion_names())} CMU trials are named like 07_02.")

@@ -27,24 +27,24 @@ _ABLATIONS = (
 
 @dataclass(frozen=True)
 class Protocol:
-    """A protocol: everything that is combined with everything else, or what scenes are drawn from.
+    """A protocol: values that are all combined with each other, or from which scenes are drawn at random.
 
     Args:
-        name: what `--protocol` takes.
-        reproduces: the table or figure of the paper it stands for, as a sentence.
-        models: simulators by default; those whose weights are not there are left out, with a line that says so.
+        name: value of `--protocol`.
+        reproduces: the table or figure of the paper that it reproduces, as a sentence.
+        models: simulators by default; those without weights are left out, with a note.
         levels: resolutions, by name or number of triangles.
-        varied: what the tables and figures compare, in words.
+        varied: quantity that the tables and figures compare, in words.
         pictured: one moment of every model is drawn at the top level, on the first motion and body.
         garments: built-in names.
-        motions: built-in motions, where no recordings are given.
-        recordings: CMU trials that take their place where they are.
+        motions: built-in motions, used without recordings.
+        recordings: CMU trials that replace them if available.
         bodies: built-in names.
         frames: frames to write of each scene.
         steps: numbers of propagation steps; None is the model's own rule.
-        scenes: number of scenes that are drawn from all of these, with body shapes and seeds of motions; 0
-            combines everything with everything else.
-        materials: names of cloths that are drawn from.
+        scenes: number of random scenes drawn from these values, with body shapes and seeds of motions; 0 uses all
+            combinations.
+        materials: names of cloths to draw from.
         excess: also measure what single steps leave on states shared by all models, and the distance from the solver.
     """
 

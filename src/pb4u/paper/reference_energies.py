@@ -32,7 +32,7 @@ def stored_reference(scene: str, level: str, frames: int) -> dict[str, float] | 
 
 
 def ratio(energies: Mapping[str, float], reached: Mapping[str, float]) -> float:
-    """Ratio of summed mean energies to those of the floor, over the terms that the floor has, gravity left out.
+    """Ratio of summed mean energies to those of the reference, over the terms of the reference, without gravity.
 
     A height has no zero, and sagging lowers it.
 

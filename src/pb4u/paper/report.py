@@ -58,12 +58,12 @@ PAPERS_VIEWS: dict[str, tuple[View, ...]] = {
 
 
 def write_report(planned: Plan, folder: JobFolder, request: EvaluationRequest) -> dict[str, Any]:
-    """Write results.json, the plots, the page of tables of what is done, and its tables as CSV.
+    """Write results.json, the plots, a page with tables of the finished rollouts, and these tables as CSV.
 
     Args:
-        planned: what the run consists of.
-        folder: where results are, and the report goes.
-        request: what was asked for.
+        planned: rollouts and cases of the run.
+        folder: with the results, and for the report.
+        request: options of the evaluation.
 
     Returns:
         The content of results.json.
@@ -133,7 +133,8 @@ def _remarks(summary: Summary) -> list[Block]:
 
 
 def merge_similar(notes: Iterable[str]) -> list[str]:
-    """Notes shortened: those that differ in their numbers alone become the first one, and how many more there are.
+    """Notes shortened: notes that differ only in their numbers are replaced by the first one and the number of the
+    others.
 
     Args:
         notes: notes of all rollouts.

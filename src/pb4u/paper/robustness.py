@@ -29,7 +29,7 @@ _NOTE = (
 
 
 def robustness_table(summary: Summary) -> list[Block]:
-    """Table with a row for each model in each of its ways.
+    """Table with a row for each model and setting.
 
     Args:
         summary: the run.
@@ -101,7 +101,7 @@ def parts_tables(summary: Summary) -> list[Block]:
 
 
 def failure_table(summary: Summary) -> list[Block]:
-    """Every failure with the number of its scene, and what makes the scene again.
+    """Every failure with the number of its scene, and the options that reproduce it.
 
     Args:
         summary: the run.

@@ -52,7 +52,7 @@ _BESIDE_ENERGIES = {
 
 
 def quantity_named(name: str) -> Quantity:
-    """Notation of the quantity `name`; what is none of those above is an energy of the potential.
+    """Notation of the quantity `name`; by default that of an energy of the potential.
 
     Args:
         name: of a quantity or an energy.
@@ -104,7 +104,7 @@ def spread(values: Iterable[float | None]) -> Spread | None:
     """The spread of the values there are; None where there are none.
 
     Args:
-        values: numbers, or None where there is none.
+        values: numbers, or None for a missing one.
     """
     present = [value for value in values if value is not None]
     if not present:
@@ -118,9 +118,9 @@ class Row:
     """A case and its outcome.
 
     Args:
-        case: the rollout in its place.
-        result: of the rollout; None where it is not done.
-        failure: why there is none, where it was tried.
+        case: the rollout and its position.
+        result: of the rollout; None if it is not done.
+        failure: why there is no result, if it was tried.
         ratio: mean energy without gravity over the reference's; None where either is absent or the run broke off.
         reference_source: "solver run", "stored" or "absent".
     """
@@ -191,7 +191,7 @@ class Row:
 
     @property
     def survived_percent(self) -> float | None:
-        """Share of the frames of the scene, which a recording may have fewer of than asked for, before divergence."""
+        """Share of the frames of the scene before divergence; a recording may have fewer frames than requested."""
         if self.result is None:
             return None
         diverged_at = self.result["diverged_at"]
@@ -231,7 +231,7 @@ class Row:
         return None if value is None else float(value)
 
     def series(self, term: str) -> list[float]:
-        """Energy [J] of a term over the frames, by the released convention; not a number where it is none.
+        """Energy [J] of a term over the frames, by the released convention; NaN if it is missing.
 
         Args:
             term: name of the energy.
@@ -247,14 +247,14 @@ class Cell:
     Args:
         level: its name.
         model: its name.
-        steps: number of propagation steps asked for; None for the model's own.
+        steps: requested number of propagation steps; None for the model's own.
         triangles: mean number of triangles of the garments there are.
         quantities: name -> spread over the scenes that are done.
         deepest: deepest penetration of all [m].
         scenes: scenes in all.
-        done: those with a result.
-        failed: those without, where why is known.
-        diverged: of those done.
+        done: number of scenes with a result.
+        failed: number of scenes without a result for a known reason.
+        diverged: number of finished scenes that diverged.
     """
 
     level: str
@@ -274,10 +274,10 @@ class Summary:
     """A run in figures.
 
     Args:
-        plan: what the run consists of.
-        rows: every case with what came of it.
-        failures: (job, sentence) of the rollouts that could not be made, those of floors among them.
-        still: where the kept frame of a job is.
+        plan: rollouts and cases of the run.
+        rows: every case with its result or failure.
+        failures: (job, sentence) of the failed rollouts, those of references included.
+        still: path of the kept frame of a job.
     """
 
     plan: Plan
@@ -287,14 +287,15 @@ class Summary:
 
     @cached_property
     def energies(self) -> tuple[str, ...]:
-        """The terms of the potential and their total: the paper's in its own order, then what the results have more."""
+        """The terms of the potential and their total: the paper's in its order, then further ones of the results."""
         names = dict.fromkeys(TERMS)
         names |= dict.fromkeys(name for row in self.rows if row.result for name in row.result["metrics_paper"])
         return (*(name for name in names if name != "total"), "total")
 
     @cached_property
     def columns(self) -> dict[str, tuple[str, int | None]]:
-        """Name -> model, and the number of propagation steps asked for, of what is compared, in the models' order."""
+        """Name -> model, and the requested number of propagation steps, for each compared column, in the models'
+        order."""
         columns = dict.fromkeys((row.model, row.coordinates["steps"]) for row in self.rows)
         ordered = sorted(columns, key=lambda column: self.plan.protocol.models.index(column[0]))
         return {model if steps is None else f"{model}, K {steps}": (model, steps) for model, steps in ordered}
@@ -313,7 +314,7 @@ class Summary:
         Args:
             level: name of the resolution.
             model: name of the model.
-            steps: number of propagation steps asked for; None for the model's own.
+            steps: requested number of propagation steps; None for the model's own.
         """
         rows = self.select(level=level, model=model, steps=steps)
         results = [row.result for row in rows if row.result is not None]
@@ -345,8 +346,8 @@ def summarise(plan: Plan, folder: JobFolder) -> Summary:
     """Read the results of a run.
 
     Args:
-        plan: what it consists of.
-        folder: where its results are.
+        plan: rollouts and cases of the run.
+        folder: folder with its results.
     """
     results = {job.key: folder.result(job) for job in plan.jobs}
     failures = {job.key: folder.failure(job) for job in plan.jobs if results[job.key] is None}

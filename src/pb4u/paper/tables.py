@@ -57,7 +57,7 @@ def label(quantity: str) -> str:
 
 
 def caveats(quantity: str, rows: list[Row]) -> str:
-    """What of some rollouts a quantity is infinite for, or leaves out, in brackets; "" where it is nothing.
+    """Note, in brackets, on rollouts for which a quantity is infinite or missing; "" without any.
 
     Args:
         quantity: its name.
@@ -94,7 +94,8 @@ def _columns(summary: Summary, level: str, quantities: Sequence[str]) -> dict[st
 
 
 def terms_tables(summary: Summary) -> list[Block]:
-    """Tables, one a level: the energies and what they leave out, a column a model, the paper's columns beside them.
+    """Tables, one for each level: the energies and further measures, a column for each model, beside the paper's
+    columns.
 
     Args:
         summary: the run.

@@ -53,7 +53,7 @@ def measurements_yaml(measures: Mapping[str, float]) -> str:
 def tailors_measures(body: ShapedBody) -> dict[str, float]:
     """Measures that the built-in patterns are drafted from [m; angles rad], by name.
 
-    What ends on `_height` is above the floor; `_width`s are straight across, other measures those of a tape.
+    Measures named `_height` are above the floor; `_width` is the straight width; the others are tape measures.
 
     Args:
         body: the resting body.
@@ -102,8 +102,7 @@ def trunk_girths(body: ShapedBody, **levels: float) -> dict[str, tuple[float, fl
     """Heights and girths [m] of a resting body's trunk, by name: bust, waist, hips and others.
 
     Args:
-        body: the resting body.
-        **levels: heights of those others [m].
+        body: the resting body. **levels: heights of further girths [m].
     """
     tape = _Tape(body)
     heights = {name: getattr(tape, name) for name in ("bust", "waist", "hips")} | levels

@@ -50,10 +50,10 @@ class Draft:
             name: of the panel.
             outline: edges in order, in the panel's axes, y along the grain [m].
             depth: how far before the middle of the body it is placed, negative behind it [m].
-            place: of its origin, to the left and upwards [m].
+            place: position of its origin, to the left and upwards [m].
             turn: of its axes, counter-clockwise as seen from the front [rad].
             tilt: of its lower end away from the body [rad].
-            azimuth: of the depth, from the front to the left [rad].
+            azimuth: direction of the depth, from the front to the left [rad].
             label: of the panel.
         """
         on_fold = outline[-1][0] == FOLD
@@ -81,7 +81,7 @@ class Draft:
                 self._edges[f"{name}.{edge[0]}", sign] = panel, k
 
     def length(self, *edges: str) -> float:
-        """Length [m] of edges of one side together.
+        """Total length [m] of edges of one side.
 
         Args:
             edges: their names.

@@ -23,11 +23,11 @@ def drafted_garment(name: str, body: ShapedBody, triangles: int) -> Garment:
 
     Args:
         name: one of `DRAFTED`.
-        body: who wears it.
+        body: the body that wears it.
         triangles: wanted number of triangles.
 
     Raises:
-        InputError: it cannot be drafted from the body's measures, or not be put on it.
+        InputError: it cannot be drafted from the body's measures, or cannot be put on the body.
     """
     kind = DRAFTED[name]
     garment = dressed_once(drafted(name, tailors_measures(body)), body, FABRICS[kind.fabric], triangles)

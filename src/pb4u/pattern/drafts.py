@@ -35,7 +35,7 @@ def drafted(name: str, measures: Measures) -> Pattern:
 
     Args:
         name: one of `DRAFTS`.
-        measures: as `tailors_measures` takes them [m; angles rad].
+        measures: from `tailors_measures` [m; angles rad].
 
     Raises:
         InputError: there is no such pattern, or a measure is missing, no number above 0, or out of proportion.
@@ -50,20 +50,20 @@ def drafted(name: str, measures: Measures) -> Pattern:
     for low, high in pairwise(_LEVELS):
         if measures[low] >= measures[high]:
             raise InputError(
-                f"{name} cannot be drafted: {low} is {measures[low]:.3f} m, and {high}, which is above it, "
+                f"{name} cannot be drafted: {low} is {measures[low]:.3f} m high, and {high}, which must be higher, "
                 f"{measures[high]:.3f} m."
             )
     try:
         return DRAFTS[name](measures)
     except InputError as error:
-        raise InputError(f"{name} cannot be drafted from these measures, which no body has together: {error}") from None
+        raise InputError(f"{name} cannot be drafted: no body has all of these measures ({error})") from None
 
 
 def shirt(m: Measures) -> Pattern:
     """A shirt: front with a placket, back, sleeves with cuffs, a collar of stand and fall; buttoned, so it is closed.
 
     Args:
-        m: as `tailors_measures` takes them.
+        m: measures from `tailors_measures`.
     """
     draft, quarter = Draft("shirt"), 0.25 * (m["bust"] + 0.14)
     placket, hem, tail = 0.016, m["crotch_height"] - 0.02, 0.06
@@ -148,7 +148,7 @@ def jeans(m: Measures) -> Pattern:
     """Jeans: legs with a crease in the middle, a yoke at the back that takes the darts, and a waistband.
 
     Args:
-        m: as `tailors_measures` takes them.
+        m: measures from `tailors_measures`.
     """
     draft, band, yoke, ease = Draft("jeans"), 0.04, 0.04, 0.05
     waists, hips = 0.25 * (m["low_waist"] + 0.03), 0.25 * (m["hips"] + ease)
@@ -196,7 +196,7 @@ def circle_dress(m: Measures) -> Pattern:
     """A dress: a fitted bodice with darts from bust, sides and shoulder blades, and a full circle of eight gores.
 
     Args:
-        m: as `tailors_measures` takes them.
+        m: measures from `tailors_measures`.
     """
     draft, waist, level = Draft("circle_dress"), m["waist"] + 0.03, m["waist_height"]
     part, radius = waist / 8.0, waist / (2.0 * np.pi)

@@ -20,7 +20,7 @@ _FINE = np.linspace(0.0, 1.0, 33)
 def draw_pattern(pattern: Pattern, path: Path) -> None:
     """Draw a pattern; a seam has one number and colour on both its edges, hems and other open edges are black.
 
-    Within a panel stand the numbers of its edges, as refusals and seams name them.
+    Each panel shows the numbers of its edges, as used in messages and seams.
 
     Args:
         pattern: to draw.

@@ -54,10 +54,9 @@ class Dressed:
         garment: the garment, flat at rest; `vertices` is where it hangs on the body.
         mesh: the panels that it is sewn of.
         crossings: pairs of its triangles that cross.
-        body_crossings: pairs of a triangle of it and one of the body that cross.
+        body_crossings: number of crossing pairs of a garment triangle and a body triangle.
         depth: how deep its deepest vertex is in the body [m].
-        strain: largest principal strain of each face, averaged by area, as the cloth hung before it was moved off the
-            skin.
+        strain: largest principal strain of each face, averaged by area, before hanging cloth was moved off the skin.
     """
 
     garment: Garment
@@ -128,11 +127,11 @@ def passed_on(
     """A dressed garment in another cloth, or with another number of triangles: its panels are meshed again.
 
     Args:
-        mesh: what it was dressed with.
-        places: (vertices, 3) of it on the body [m].
+        mesh: the mesh with which it was dressed.
+        places: (vertices, 3) its positions on the body [m].
         body: the same body.
         material: the cloth.
-        triangles: wanted number; None for the mesh as it is.
+        triangles: wanted number; None for the same mesh.
 
     Raises:
         InputError: so few triangles cannot mesh it.
@@ -153,7 +152,7 @@ def _dressed(sewing: Sewing, places: np.ndarray) -> Dressed:
     """The garment of a sewing that hangs at `places` (vertices, 3) [m], checked, and moved off the skin."""
     garment = sewing.garment(places)
     if is_inside_out(places, garment.faces, sewing.rest_body):
-        raise InputError(f"{garment.name} comes out inside out: run the corners of its panels the other way round.")
+        raise InputError(f"{garment.name} comes out inside out: reverse the order of the corners of its panels.")
     refuse_slipped(sewing.mesh, sewing.body, sewing.placed, places)
     packed = pack([garment])
     x = torch.from_numpy(places)

@@ -55,14 +55,14 @@ def load_worn(
 ) -> Garment:
     """The garment of a pattern or of a dressed garment, on a body.
 
-    A pattern is dressed on the way, and kept in the user's cache; a dressed garment is dressed again where it was made
-    on another body, and only meshed again for another number of triangles.
+    A pattern is dressed first, and cached; a dressed garment is dressed again if it was made on another body, and only
+    meshed again for another number of triangles.
 
     Args:
         path: a pattern (`.json`, `.toml`) or a dressed garment (`.npz`).
         body: the body that wears it.
         material: the cloth.
-        triangles: wanted number of triangles; None is 5,000, or that of the dressed garment.
+        triangles: wanted number of triangles; None means 5,000, or the number of the dressed garment.
 
     Raises:
         InputError: the file cannot be read, or the pattern cannot be dressed on this body.
@@ -83,7 +83,7 @@ def load_worn(
 
 
 def dressed_once(pattern: Pattern, body: ShapedBody, material: Material, triangles: int) -> Garment:
-    """What `dress` makes, read from the user's cache where it was made before.
+    """The result of `dress`, read from the user's cache if it exists.
 
     Args:
         pattern: as for `dress`, as the other arguments.
@@ -116,7 +116,7 @@ def body_key(body: ShapedBody) -> str:
 
 
 def write_dressed(path: str | Path, dressed: Dressed, body: ShapedBody) -> None:
-    """Keep a dressed garment with its pattern in an `.npz`, written beside and moved into place.
+    """Write a dressed garment with its pattern to an `.npz`, written beside and moved into place.
 
     Args:
         path: the file.
@@ -149,13 +149,15 @@ def read_dressed(path: str | Path) -> tuple[PatternMesh, np.ndarray, tuple[str, 
         path: the `.npz` file.
 
     Raises:
-        InputError: it is no file of a dressed garment, or a damaged one.
+        InputError: it is not a file of a dressed garment, or a damaged one.
     """
     path = Path(path)
     members = read_arrays(path, _LAYOUT)
 
     def refuse(what: str) -> InputError:
-        return InputError(f"{path} is no dressed garment: {what}; make one with `pb4u dress PATTERN.json --out FILE`.")
+        return InputError(
+            f"{path} is not a dressed garment: {what}; make one with `pb4u dress PATTERN.json --out FILE`."
+        )
 
     counts = read_members(members, _LAYOUT, refuse)[1]
     if int(members["format_version"]) != FORMAT_VERSION:
@@ -192,7 +194,7 @@ def read_pattern(path: str | Path) -> Pattern:
         raise InputError(f"There is no pattern {path}.")
     kind = path.suffix.lower()
     if kind not in (".toml", ".npz", ".json"):
-        raise InputError(f"{path} is no sewing pattern; those are .json, .toml or the .npz of `pb4u dress`.")
+        raise InputError(f"{path} is not a sewing pattern; those are .json, .toml or the .npz of `pb4u dress`.")
     if kind == ".toml":
         return read_drawn(path)
     return read_dressed(path)[0].pattern if kind == ".npz" else read_specification(path)
@@ -202,7 +204,7 @@ def write_worn(path: Path, dressed: Dressed, body: ShapedBody) -> None:
     """Write a dressed garment, or its pattern, in the kind of file that the name says.
 
     Args:
-        path: `.npz` keeps the garment with its pattern, `.obj` its mesh, UVs the pattern; `.json` is the pattern,
+        path: `.npz` has the garment with its pattern, `.obj` its mesh with the pattern as UVs; `.json` is the pattern,
             `.svg` and `.png` are pictures of it.
         dressed: the garment.
         body: the body that wears it.
@@ -222,4 +224,4 @@ def write_worn(path: Path, dressed: Dressed, body: ShapedBody) -> None:
     elif kind in (".svg", ".png"):
         draw_pattern(dressed.mesh.pattern, path)
     else:
-        raise InputError(f"A dressed garment is written as .npz, .obj, .json, .svg or .png; {path} ends otherwise.")
+        raise InputError(f"A dressed garment is written as .npz, .obj, .json, .svg or .png; {path} has another suffix.")

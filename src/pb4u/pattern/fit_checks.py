@@ -59,7 +59,7 @@ def refuse_narrow(mesh: PatternMesh, body: ShapedBody, placed: np.ndarray) -> No
         placed: (points, 3) of the panels around it [m].
 
     Raises:
-        InputError: so much of it is too narrow, or all of it lies too low.
+        InputError: too much of it is too narrow, or all of it is too low.
     """
     form, pattern = form_of(body), mesh.pattern
     trunk = [k for k, panel in enumerate(pattern.panels) if panel.label != "arm"]
@@ -71,7 +71,7 @@ def refuse_narrow(mesh: PatternMesh, body: ShapedBody, placed: np.ndarray) -> No
     waist = trunk_girths(body)["waist"][1]
     if len(clouds) and high.max() < form.crotch:
         raise InputError(
-            f"{pattern.name} lies too low for {body.name}: its highest panel, "
+            f"{pattern.name} is placed too low for {body.name}: its highest panel, "
             f"{pattern.panels[trunk[high.argmax()]].name}, ends {100 * high.max():.0f} cm above the floor, and the "
             f"crotch is at {100 * form.crotch:.0f} cm; {_REMEDY}"
         )
@@ -90,7 +90,7 @@ def refuse_slipped(mesh: PatternMesh, body: ShapedBody, placed: np.ndarray, plac
         mesh: the panels.
         body: the resting body.
         placed: (points, 3) of the panels around it [m].
-        places: (vertices, 3) of the garment as it hangs [m].
+        places: (vertices, 3) of the hanging garment [m].
 
     Raises:
         InputError: it slips off.
@@ -110,7 +110,7 @@ def refuse_tight(mesh: PatternMesh, body: ShapedBody, places: np.ndarray, mean: 
     Args:
         mesh: the panels.
         body: the resting body.
-        places: (vertices, 3) of the garment as it hangs [m].
+        places: (vertices, 3) of the hanging garment [m].
         mean: of the strains, weighted by area.
         strains: (faces,) largest principal strain of each.
 

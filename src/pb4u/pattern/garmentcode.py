@@ -36,7 +36,7 @@ def read_specification(path: str | Path) -> Pattern:
     with refusing(path, "is not JSON"):
         record = read_json(path)
     if not is_pattern(record):
-        raise InputError(f'{path} is no sewing pattern: GarmentCode\'s specification has an entry "pattern".')
+        raise InputError(f'{path} is not a sewing pattern: GarmentCode\'s specification has an entry "pattern".')
     return pattern_of(record, path.name.removesuffix(".json").removesuffix("_specification"))
 
 
@@ -45,10 +45,10 @@ def pattern_of(record: dict[str, Any], name: str) -> Pattern:
 
     Args:
         record: data of the JSON file.
-        name: of the garment, which refusals begin with.
+        name: of the garment, for error messages.
 
     Raises:
-        InputError: it is no pattern, or one that cannot be sewn.
+        InputError: it is not a pattern, or one that cannot be sewn.
     """
     reader = _Reader(name, record.get("properties") or {})
     try:

@@ -11,13 +11,13 @@ _ROOM = 0.02
 
 
 def laid_out(boxes: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, float]:
-    """Places of rectangles on shelves of a square, the tallest first.
+    """Positions of rectangles packed in rows into a square, the tallest first.
 
     Args:
         boxes: lowest and highest corner (2,) of each [m].
 
     Returns:
-        Moves (boxes, 2) [m] that bring them to their places, and the side [m] of the square from the origin.
+        Translations (boxes, 2) [m] to their positions, and the side [m] of the square from the origin.
     """
     sizes = np.array([high - low for low, high in boxes]) + _ROOM
     side = max(float(sizes.max()), float(np.sqrt(sizes.prod(axis=1).sum())))

@@ -30,12 +30,12 @@ class PatternMesh:
     """The panels of a pattern as triangles, and the vertices of the garment that they are sewn to.
 
     Args:
-        pattern: what was meshed.
+        pattern: the meshed pattern.
         points: (points, 2) of all panels, each in its panel's plane [m].
         panel: (points,) int64 panel of each.
         faces: (faces, 3) int64 into the points, counter-clockwise from outside.
         vertex: (points,) int64 garment vertex that each point is sewn to.
-        sides: of each seam the points (n,) int64 of its two sides, which are sewn together one by one.
+        sides: of each seam the points (n,) int64 of its two sides, which are sewn together pairwise.
     """
 
     pattern: Pattern
@@ -80,7 +80,7 @@ class PatternMesh:
 
     @cached_property
     def placed(self) -> np.ndarray:
-        """Places (points, 3) [m] of the points around the body, their seams open."""
+        """Positions (points, 3) [m] of the points around the body, with open seams."""
         placed = np.empty((len(self.points), 3))
         for number, panel in enumerate(self.pattern.panels):
             rows = self.panel == number
@@ -158,8 +158,8 @@ def _in_loop(panel: Panel, counts: np.ndarray, length: float) -> tuple[np.ndarra
         edge_of, corners = np.repeat(np.arange(len(counts)), counts), faces[areas.argmin()]
         touched = np.unique(edge_of[corners[corners < len(edge_of)]])
         raise InputError(
-            f"Panel {panel.name}: its edges {' and '.join(map(str, touched))} touch or leave no room for a triangle; "
-            "move them apart."
+            f"Panel {panel.name}: its edges {' and '.join(map(str, touched))} touch, or leave no room for a triangle "
+            "between them; move them apart."
         )
     return points * flip, faces
 

@@ -35,7 +35,7 @@ _SMALLEST, _LARGEST = 0.05, 10.0
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """How an edge leaves the straight line between its corners: a Bezier curve, or a circular arc.
+    """Shape of an edge that is not straight: a Bezier curve, or a circular arc.
 
     Args:
         controls: (1 or 2, 2) Bezier control points in the panel's plane [m]; none for an arc.
@@ -88,9 +88,9 @@ class Panel:
         corners: (corners, 2) in its own plane, y along the grain [m].
         position: (3,) where its origin is placed around the resting body, feet on y = 0, facing +Z [m].
         rotation: (3, 3) from its plane's axes, and their normal, to the world's.
-        curves: edge -> how it is curved; edges left out are straight.
-        label: what it covers, such as "body", "arm" or "leg".
-        edge_labels: edge -> what it is, such as "collar".
+        curves: edge -> its curve; other edges are straight.
+        label: the part that it covers, such as "body", "arm" or "leg".
+        edge_labels: edge -> its label, such as "collar".
 
     Raises:
         InputError: numbers that are not finite, fewer than 3 corners, an edge without length, edges that cross.
@@ -153,7 +153,7 @@ class Panel:
         return points
 
     def placed(self, points: np.ndarray) -> np.ndarray:
-        """Places (n, 3) [m] around the body of `points` (n, 2) [m] of the panel.
+        """Positions (n, 3) [m] around the body of `points` (n, 2) [m] of the panel.
 
         Args:
             points: (n, 2) [m].
@@ -183,7 +183,9 @@ class Panel:
             fault = f"edge {one} crosses itself" if one == other else f"edges {one} and {other} cross"
             raise InputError(f"Panel {self.name}: {fault}; a panel is one piece of cloth within a loop of edges.")
         if abs(self.area) < 1e-6:
-            raise InputError(f"Panel {self.name} has an area of {1e4 * abs(self.area):.2g} cm^2, which is no cloth.")
+            raise InputError(
+                f"Panel {self.name} has an area of {1e4 * abs(self.area):.2g} cm^2, too small for a piece of cloth."
+            )
 
 
 def _as_curve(panel: str, edge: int, curve: Curve | np.ndarray) -> Curve:
@@ -244,8 +246,8 @@ class Seam:
     Args:
         first: panel and edge.
         second: panel and edge.
-        same_way: whether the starts of the two edges meet; by default the start of each meets the end of the other,
-            as where both panels show their outside.
+        same_way: whether the starts of the two edges meet; by default the start of each meets the end of the other, as
+            for two panels with their outsides up.
     """
 
     first: tuple[str, int]
@@ -263,8 +265,8 @@ class Pattern:
         seams: the seams; an edge is sewn once, or left open.
 
     Raises:
-        InputError: names that repeat, seams between edges that are not there, sewn twice or of lengths that cannot
-            meet, panels that no seam joins to the others, or a size that no garment has.
+        InputError: repeated names, seams of edges that do not exist, are sewn twice or differ too much in length,
+            panels without a seam to the others, or an impossible size.
     """
 
     name: str
@@ -326,8 +328,8 @@ class Pattern:
             if max(one, other) > MOST_EASE * min(one, other):
                 raise InputError(
                     f"{self.name}: edge {seam.first[1]} of {seam.first[0]} is {100 * one:.1f} cm long and edge "
-                    f"{seam.second[1]} of {seam.second[0]}, to which it is sewn, {100 * other:.1f} cm; no gathers take "
-                    f"up more than {MOST_EASE:g} to 1."
+                    f"{seam.second[1]} of {seam.second[0]}, to which it is sewn, {100 * other:.1f} cm; gathers can "
+                    f"take up at most {MOST_EASE:g} to 1."
                 )
 
     def _refuse_parts(self) -> None:
@@ -337,6 +339,6 @@ class Pattern:
             part = [one if number == other else number for number in part]
         if loose := [panel.name for panel, number in zip(self.panels, part, strict=True) if number != part[0]]:
             raise InputError(
-                f"{self.name} is in {len(set(part))} parts: no seam joins {loose[0]} to {self.panels[0].name}; wear "
-                "the parts as garments of their own."
+                f"{self.name} is in {len(set(part))} parts: no seam joins {loose[0]} to {self.panels[0].name}; give "
+                "each part as a garment of its own."
             )

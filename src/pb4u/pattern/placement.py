@@ -28,9 +28,9 @@ _WAISTBAND = 0.05
 
 
 def around(mesh: PatternMesh, body: ShapedBody) -> np.ndarray:
-    """Places (points, 3) [m] of the panels, at the height of this body's shoulders where the garment has those.
+    """Positions (points, 3) [m] of the panels, at the height of this body's shoulders if the garment has shoulders.
 
-    Trousers whose crotch would be within the body, and skirts that would begin above the waist, are lowered.
+    Trousers with a crotch inside the body, and skirts that begin above the waist, are lowered.
 
     Args:
         mesh: the panels.
@@ -48,7 +48,7 @@ def around(mesh: PatternMesh, body: ShapedBody) -> np.ndarray:
 
 
 def joined(mesh: PatternMesh) -> np.ndarray:
-    """Places (points, 3) [m] of the panels as the pattern has them, moved up, down and out to those they are sewn to.
+    """Positions (points, 3) [m] of the pattern's panels, moved up, down and out to the panels that they are sewn to.
 
     Args:
         mesh: the panels.
@@ -102,7 +102,8 @@ def crotch_height(mesh: PatternMesh, places: np.ndarray) -> float | None:
 
 
 def off_body(mesh: PatternMesh, places: np.ndarray, body: np.ndarray) -> np.ndarray:
-    """The same places (points, 3) [m], each panel moved along its normal to where no part of the body is before it.
+    """The same positions (points, 3) [m], each panel moved along its normal until no part of the body is in front of
+    it.
 
     Args:
         mesh: the panels.
@@ -119,7 +120,7 @@ def off_body(mesh: PatternMesh, places: np.ndarray, body: np.ndarray) -> np.ndar
 
 
 def sleeve_points(mesh: PatternMesh, places: np.ndarray) -> np.ndarray:
-    """Points (n, 3) [m] of panels labelled "arm" in the frontal plane, those of the right mirrored to the left (+X).
+    """Points (n, 3) [m] of panels labelled "arm" in the frontal plane, with right ones mirrored to the left (+X).
 
     Args:
         mesh: mesh of the pattern.

@@ -76,7 +76,7 @@ _LEFT_INSIDE = 1e-3
 
 
 def sewn_garment(mesh: PatternMesh, places: np.ndarray, material: Material) -> Garment:
-    """The garment of a mesh with its vertices at `places` (vertices, 3) [m], flat at rest, its UVs the pattern.
+    """The garment of a mesh with its vertices at `places` (vertices, 3) [m], flat at rest, with the pattern as UVs.
 
     Args:
         mesh: mesh of the pattern.
@@ -93,7 +93,7 @@ def sewn_garment(mesh: PatternMesh, places: np.ndarray, material: Material) -> G
 
 
 def carried(source: PatternMesh, places: np.ndarray, target: PatternMesh) -> np.ndarray:
-    """Where another mesh of the same panels lies, if the cloth is where it was.
+    """Positions of another mesh of the same panels, with the cloth in the same shape.
 
     Args:
         source: mesh of the panels.
@@ -113,11 +113,11 @@ def carried(source: PatternMesh, places: np.ndarray, target: PatternMesh) -> np.
 
 
 def turned_over(mesh: PatternMesh, places: np.ndarray) -> np.ndarray:
-    """Places (vertices, 3) [m] where panels labelled `FALL` lie down over the cloth below the seam that they hang on.
+    """Positions (vertices, 3) [m] with panels labelled `FALL` folded down over the cloth below their seam.
 
     Args:
         mesh: mesh of the pattern.
-        places: (vertices, 3) of its garment [m], where they stand up from there.
+        places: (vertices, 3) of its garment [m], with these panels standing up from that seam.
     """
     is_fall = np.array([panel.label == FALL for panel in mesh.pattern.panels])
     falls = is_fall[mesh.panel]
@@ -140,7 +140,7 @@ def turned_over(mesh: PatternMesh, places: np.ndarray) -> np.ndarray:
 
 
 class Sewing:
-    """The cloth of one mesh of a pattern, and the body that it is sewn around.
+    """The cloth of one mesh of a pattern, and the body around which it is sewn.
 
     Args:
         mesh: the panels.
@@ -161,7 +161,7 @@ class Sewing:
         self.material = material
 
     def garment(self, places: np.ndarray) -> Garment:
-        """The garment with its vertices at some places.
+        """The garment with its vertices at given positions.
 
         Args:
             places: (vertices, 3) [m].
@@ -175,15 +175,15 @@ class Sewing:
 
     @cached_property
     def placed(self) -> np.ndarray:
-        """Places (points, 3) [m] of the panels around this body."""
+        """Positions (points, 3) [m] of the panels around this body."""
         return around(self.mesh, self.body)
 
     def pose(self, share: float, blend: float) -> ColliderPose:
         """The whole body, hands included, thin or grown as in `SewingBody.between`.
 
         Args:
-            share: of its girth with which it begins.
-            blend: share of the way to its size.
+            share: share of its girth at the start.
+            blend: growth from 0 (start) to 1 (its own size).
         """
         return self.whole.pose(torch.from_numpy(self.thin_body.between(share, blend)))
 
@@ -193,7 +193,7 @@ class Sewing:
         return self.colliders.pose(torch.from_numpy(self.body.vertices))
 
     def sewn(self) -> np.ndarray:
-        """Places (vertices, 3) [m] of the garment around the body in its size, without weight."""
+        """Positions (vertices, 3) [m] of the garment around the body in its own size, without gravity."""
         start, share = self.clear_start(off_body(self.mesh, self.placed, self.thin_body.thin(1.0)))
         # Stretched threads of stiff cloth would pull it through an arm.
         garment = replace(sewn_garment(self.mesh, start, MATERIALS["default"]), pressed=None)
@@ -236,7 +236,7 @@ class Sewing:
         return raised, share
 
     def outside(self, places: np.ndarray) -> np.ndarray:
-        """Places (vertices, 3) [m] near the given ones outside the body, where no cloth crosses.
+        """Positions (vertices, 3) [m] near the given ones, outside the body and without crossing cloth.
 
         Args:
             places: (vertices, 3) [m].
@@ -248,11 +248,12 @@ class Sewing:
         return untangled_start([garment], out)
 
     def hung(self, places: np.ndarray, most: int) -> np.ndarray:
-        """Places (vertices, 3) [m] of the garment settled under gravity, held by what would hold it in life.
+        """Positions (vertices, 3) [m] of the garment settled under gravity, with its waistband or straps pinned if they
+        would hold it in life.
 
         Args:
-            places: (vertices, 3) [m] from where it settles.
-            most: steps after which it is taken as it hangs.
+            places: (vertices, 3) [m] from which it settles.
+            most: largest number of steps.
         """
         garment = self.garment(places)
         support = find_support(places, garment.faces, self.rest_body)
@@ -281,10 +282,10 @@ class Sewing:
 
         Args:
             packed: the garment.
-            x: (vertices, 3) [m] where the step begins.
-            solver: takes the step.
+            x: (vertices, 3) [m] at the start of the step.
+            solver: solver for the step.
             potential: energies that it lowers.
-            poses: of the body, where the step begins and where it ends.
+            poses: of the body at the start and at the end of the step.
             hangs: whether the cloth has its weight, and time to settle.
         """
         before, after = poses
@@ -314,11 +315,11 @@ class Sewing:
 
 
 def softened(packed: PackedGarments, softness: float) -> PackedGarments:
-    """Garments whose cloth is softer in its plane.
+    """Garments with reduced in-plane stiffness.
 
     Args:
         packed: the garments.
-        softness: share of their stiffness that is left.
+        softness: remaining share of their stiffness.
     """
     stiffening = packed.stiffening * packed.stiffening.new_tensor([1.0, softness])
     return replace(packed, membrane=softness * packed.membrane, stiffening=stiffening)

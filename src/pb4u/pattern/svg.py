@@ -125,7 +125,7 @@ def _edges(name: str, outline: list[Any]) -> tuple[np.ndarray, dict[int, Curve]]
     gaps = [k for k in range(len(starts)) if np.hypot(*(ends[k] - starts[(k + 1) % len(starts)])) > _TOUCHES]
     if gaps or len(starts) < 3:
         where = f"edge {gaps[0]} does not end where the next one starts" if gaps else f"it has {len(starts)} edges"
-        raise InputError(f"The outline of panel {name} is no closed loop of 3 edges or more: {where}.")
+        raise InputError(f"The outline of panel {name} is not a closed loop of 3 edges or more: {where}.")
     loop = [
         start[None] if curve is None else curve.at(start, end, np.linspace(0.0, 1.0, 33))[:-1]
         for start, end, curve in zip(starts, ends, curves, strict=True)
@@ -153,7 +153,7 @@ def _outlines(path: Path, labels: Collection[str]) -> dict[str, list[Any]]:
         content = path.read_bytes()
     # In UTF-16 every other byte is zero.
     if any(word in content.replace(b"\0", b"") for word in (b"<!ENTITY", b"<use")):
-        raise InputError(f"{path} draws by reference (<use> or entities): unlink clones before saving it.")
+        raise InputError(f"{path} contains references (<use> or entities): unlink clones before saving it.")
     try:
         drawing = SVG.parse(io.BytesIO(content), reify=True, ppi=96.0)
         shapes = [element for element in drawing.elements() if isinstance(element, Shape) and element.id]
@@ -176,6 +176,6 @@ def _seam(path: Path, number: int, record: Any) -> Seam:
     if not sound or not all(isinstance(record[k], kind) for k, kind in ((0, str), (1, int), (2, str), (3, int))):
         raise InputError(
             f'{path}: seam {number} must be [panel, edge, panel, edge], such as ["front", 1, "back", 1], with "same '
-            'way" as a fifth entry where the starts of both edges meet.'
+            'way" as a fifth entry if the starts of the two edges meet.'
         )
     return Seam((record[0], record[1]), (record[2], record[3]), same_way=len(record) == 5)

@@ -14,7 +14,7 @@ _END = 0.95
 
 
 class SewingBody:
-    """A resting body that fills out: first thin, with straight arms, and at the end in its own shape.
+    """A resting body that grows: first thin, with straight arms, and at the end in its own shape.
 
     Args:
         body: the resting body.
@@ -41,11 +41,11 @@ class SewingBody:
         return self._lines + share * (self._straight - self._lines)
 
     def between(self, share: float, blend: float) -> np.ndarray:
-        """Vertices (vertices, 3) [m] a part `blend`, 0 to 1, of the way from `thin` at a `share` to the body at rest.
+        """Vertices (vertices, 3) [m] interpolated by `blend` from `thin` at a `share` (0) to the body at rest (1).
 
         Args:
             share: of the girth, 0 to 1.
-            blend: part of the way, 0 to 1.
+            blend: interpolation parameter, 0 to 1.
         """
         return (1.0 - blend) * self.thin(share) + blend * self.rest
 

@@ -20,10 +20,10 @@ def triangulate_loop(loop: np.ndarray, length: float, bulge: np.ndarray) -> tupl
     triangulation lacks are recovered by flips (Sloan 1993).
 
     Args:
-        loop: (n, 2) points [m]; consecutive ones stay joined.
+        loop: (n, 2) points [m]; the mesh keeps the edges between consecutive points.
         length: wanted edge length within [m].
-        bulge: (n, 2) small moves [m] of these points outwards while connectivity is decided: three points of a straight
-            edge would make flat triangles.
+        bulge: (n, 2) small outward displacements [m] of these points during triangulation: three points of a straight
+            edge would give flat triangles.
 
     Returns:
         Points (m, 2), those of the loop first, and counter-clockwise triangles (k, 3) int64.

@@ -32,9 +32,9 @@ class IncrementalPotential:
     """Energies to sum, and how a vertex finds the body near it.
 
     Args:
-        terms: the energies, each under a name of its own.
+        terms: the energies by name.
         search: finds the planes of the body: its exact nearest points, or the family's nearest face centres.
-        self_contact: keeps cloth from passing through cloth; None for the paper's physics, where it does.
+        self_contact: keeps cloth from passing through cloth; None for the paper's physics, which does not.
     """
 
     terms: tuple[EnergyTerm, ...] = TERMS
@@ -80,7 +80,7 @@ class IncrementalPotential:
         return tuple(term.name for term in self.terms)
 
     def term(self, name: str) -> EnergyTerm:
-        """The term called `name`; KeyError where there is none.
+        """The term called `name`; KeyError if there is none.
 
         Args:
             name: of the term.
@@ -88,7 +88,7 @@ class IncrementalPotential:
         return {term.name: term for term in self.terms}[name]
 
     def with_term(self, new: EnergyTerm) -> IncrementalPotential:
-        """This potential with `new` in the place of the term of its name, or after all others where there is none.
+        """This potential with `new` replacing the term of its name, or added if there is none.
 
         Args:
             new: the term.

@@ -15,16 +15,16 @@ _MOST_GROWTH = 2.0
 
 
 class Integrator(Protocol):
-    """A rule of integration in time. It keeps nothing: what it has to know of earlier states is a state's history.
+    """A rule of integration in time. It has no state of its own: data on earlier states are in a state's history.
 
     Attributes:
-        name: by which a run asks for it.
+        name: its value of `time_integration`.
     """
 
     name: str
 
     def inertial_dt(self, state: State, dt: float) -> float | Tensor:
-        """Time [s] by whose square inertia is divided, one or (vertices,).
+        """Time step [s] of the inertia term, one or (vertices,).
 
         Args:
             state: at the start of the step.
@@ -32,7 +32,7 @@ class Integrator(Protocol):
         """
 
     def free_move(self, state: State, dt: float) -> Tensor:
-        """How far (vertices, 3) [m] every vertex goes in a step in which nothing acts on it.
+        """Displacement (vertices, 3) [m] of every vertex in a step without forces.
 
         Args:
             state: at the start of the step.
@@ -40,7 +40,7 @@ class Integrator(Protocol):
         """
 
     def arrived(self, state: State, dt: float, positions: Tensor, move: Tensor, struck: Tensor | None = None) -> State:
-        """State at the end of a step, with its velocities and what it tells the next step; differentiable.
+        """State at the end of a step, with its velocities and the history for the next step; differentiable.
 
         Args:
             state: at the start of the step.
@@ -118,11 +118,11 @@ class SecondOrder:
 
     With r the step over the one before, the derivative at the end of a step is (1 + 2 r) / (1 + r) of the mean slope
     over it, less r / (1 + r) of the mean slope over the one before: 3/2 and 1/2 where both are equal. The step after a
-    state without history, and one more than twice as long as that before, is one of implicit Euler. Source: Hairer,
-    Norsett, Wanner, Solving Ordinary Differential Equations I, III.5 (steps may grow by 1 + sqrt(2) at most).
+    state without history, or more than twice as long as the previous one, uses implicit Euler. Source: Hairer, Norsett,
+    Wanner, Solving Ordinary Differential Equations I, III.5 (steps may grow by 1 + sqrt(2) at most).
 
-    So is that of a vertex on which contact pushes: its velocity jumps, and the difference of two mean velocities would
-    throw it back with half of the speed at which it came. Such a vertex ends with its mean velocity, and begins anew
+    So does the step of a vertex pushed by contact: its velocity jumps, and the difference of two mean velocities would
+    throw it back with half of its speed before. Such a vertex gets its mean velocity and no history
     (docs/design/time_integration.md).
     """
 

@@ -41,7 +41,7 @@ class Energies:
 
     Args:
         terms: (garments,) energies [J] by name of the term.
-        table: (terms, garments) the same in one, where they were made so.
+        table: (terms, garments) the same in one tensor, if they were computed so.
     """
 
     terms: Mapping[str, Tensor]
@@ -76,13 +76,13 @@ class StepPotential:
     """The potential of one time step as a function of the next positions `x` (vertices, 3) [m].
 
     Unless contacts were fixed by `with_contact_at`, every evaluation looks up the nearest surface at its own `x`, so
-    its value and gradient are exact. With fixed contacts an evaluation makes no query and sees the body's tangent
+    its value and gradient are exact. With fixed contacts an evaluation makes no query and uses the body's tangent
     planes.
 
     Args:
         potential: the energy terms, and the search for the body's surface.
         step: garments, bodies and state at frame t that the terms are evaluated for.
-        contacts: contacts at frame t, and those at frame t+1 where they are fixed.
+        contacts: contacts at frame t, and at frame t+1 if they are fixed.
     """
 
     potential: IncrementalPotential
@@ -116,7 +116,7 @@ class StepPotential:
         return replace(self, contacts=replace(self.contacts, next=self.raised(contact), opposite=opposite))
 
     def raised(self, planes: ContactPlanes | None) -> ContactPlanes | None:
-        """`planes` of the bodies, raised where the cloth between vertices is to stay clear of them.
+        """`planes` of the bodies, raised where the cloth between vertices must stay clear of them.
 
         Args:
             planes: planes of the bodies; None where there are none.
@@ -127,8 +127,8 @@ class StepPotential:
     def reached(self, x: Tensor, wanted: Tensor) -> tuple[StepPotential, Tensor]:
         """This potential for a move, and the positions (vertices, 3) [m] to which it leads where cloth stops cloth.
 
-        The cloth elements that the potential compares are fixed to those that meet along the move. The positions are
-        `wanted` itself where nothing touches.
+        The pairs of cloth elements in the potential are fixed to those that come near each other during the move. The
+        positions are `wanted` itself if nothing touches.
 
         Args:
             x: (vertices, 3) [m] from where, crossing nowhere.
@@ -157,7 +157,7 @@ class StepPotential:
         return met, contact.shares(self.step.garments, met.contacts.cloth, x, moves)
 
     def with_cloth(self, cloth: ClothPairs | None) -> StepPotential:
-        """This potential with the cloth elements that it compares fixed to `cloth`; None looks them up.
+        """This potential with its pairs of cloth elements fixed to `cloth`; None looks them up.
 
         Args:
             cloth: pairs of cloth elements, or None.
@@ -293,7 +293,7 @@ class StepPotential:
         return {name: part for name, part in parts.items() if part is not None}
 
     def stiffness(self, x: Tensor, pattern: StiffnessPattern) -> Stiffness:
-        """Second derivative, or one near it, of the terms that couple `elements`.
+        """Second derivative, or an approximation, of the terms that couple `elements`.
 
         Args:
             x: (vertices, 3) [m] next positions.
@@ -319,7 +319,7 @@ class StepPotential:
         """Parts of the model of a Newton step that can be relinearised, as in `EnergyTerm.tangents`.
 
         Args:
-            x: (vertices, 3) [m] where the step begins.
+            x: (vertices, 3) [m] at the start of the step.
             pattern: of the `elements`.
         """
         contacts = self._contacts_at(x)

@@ -34,11 +34,11 @@ class DivergedError(Pb4uError):
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """Springs that draw vertices to places over a step, as a hand that holds them does.
+    """Springs that pull vertices to target points during a step, like a hand in the studio.
 
     Args:
         vertices: (held,) int64.
-        places: (held, 3) [m] where they are drawn to.
+        places: (held, 3) [m] target points.
         stiffness: of the spring of each [N/m].
     """
 
@@ -58,11 +58,11 @@ class TimeStep:
         dt: length of the step [s].
         environment: gravity, air and ground.
         pin_positions: (vertices, 3) [m] where the pinned vertices will be after the step; other rows are not read. None
-            gives them no place: predictions then move them as any other.
+            gives them no target: predictions then move them like other vertices.
         skinned_motion: (vertices, 3) [m] how far skinning moves each vertex over the step, or None.
         integrator: gives inertia, and the velocities and history of the state that the step leads to.
-        time: since the simulation began [s], at frame t.
-        pull: what a hand does to the cloth, or None.
+        time: since the start of the simulation [s], at frame t.
+        pull: springs of a hand in the studio, or None.
 
     Raises:
         InputError: a time step that is not positive, or shapes that do not match.
@@ -95,12 +95,13 @@ class TimeStep:
 
     @property
     def batches(self) -> bool:
-        """Whether several positions take as many launches as one: on an accelerator."""
+        """Whether several positions need as many kernel launches as one: true on an accelerator."""
         return self.bodies is not None and self.bodies.colliders.capacities is not None
 
     @cached_property
     def is_on_a_processor(self) -> bool:
-        """Whether compiled loops compute it: not on an accelerator, nor where autograd goes back to its start."""
+        """Whether compiled loops compute it: not on an accelerator, nor if autograd differentiates through its
+        start."""
         state = self.state
         starts_fixed = not (state.positions.requires_grad or state.velocities.requires_grad)
         return self.garments.device.type == "cpu" and not self.batches and starts_fixed
@@ -112,7 +113,7 @@ class TimeStep:
 
     @cached_property
     def records(self) -> dict[Any, Any]:
-        """What the loops of terms read over the step, by term, where that depends on nothing else."""
+        """Inputs of the terms' loops that are constant during the step, by term."""
         return {}
 
     @cached_property
@@ -122,7 +123,8 @@ class TimeStep:
 
     @cached_property
     def sags(self) -> Tensor | None:
-        """Heights (vertices,) [m] that the cloth between vertices asks of them over the bodies; None without a body."""
+        """Heights (vertices,) [m] over the bodies that vertices need so that the cloth between them clears the body;
+        None without a body."""
         planes = self.contacts.now
         return None if planes is None else sags(self.garments, planes)
 
@@ -180,16 +182,16 @@ class TimeStep:
 
     @cached_property
     def inertial_dt(self) -> float | Tensor:
-        """Time [s] by whose square inertia is divided, one or (vertices,)."""
+        """Time step [s] of the inertia term, one or (vertices,)."""
         return self.integrator.inertial_dt(self.state, self.dt)
 
     @property
     def free_move(self) -> Tensor:
-        """How far (vertices, 3) [m] every vertex goes where nothing acts on it, pins included."""
+        """Displacement (vertices, 3) [m] of every vertex, pins included, without forces."""
         return self.integrator.free_move(self.state, self.dt)
 
     def reached(self, positions: Tensor, struck: Tensor | None = None) -> State:
-        """State at the end of the step, with the velocities that a move there leaves.
+        """State at the end of the step, with the velocities after a move to it.
 
         Args:
             positions: (vertices, 3) [m] at the end of the step.
@@ -207,7 +209,7 @@ class TimeStep:
         return self.integrator.turned_aside(state, self.dt, positions)
 
     def reached_by_parts(self, last: State) -> State:
-        """State at the end of the step, whose parts led to it: places and velocities are those of the last of them.
+        """State at the end of a step that was taken in parts, with positions and velocities of the last part.
 
         Args:
             last: at the end of the last part.
@@ -221,11 +223,11 @@ class TimeStep:
 def integrate(step: TimeStep, acceleration: Tensor) -> State:
     """State after a step with accelerations, of implicit Euler v' = v + a / dt, x' = x + dt v'; differentiable.
 
-    Pinned vertices take their places and the velocity that brings them there. Source: the integrator of MeshGraphNets
+    Pinned vertices get their targets and the velocity towards these. Source: the integrator of MeshGraphNets
     and its descendants, in SI units outside the network.
 
     Args:
-        step: the time step that is taken.
+        step: the time step.
         acceleration: (vertices, 3) acceleration times dt^2 [m per step^2].
     """
     before, pins = step.state.positions, step.pin_positions

@@ -57,24 +57,23 @@ def make_scene(
 ) -> Scene:
     """Garments on a moving body, ready to simulate.
 
-    Names, paths and loaded objects are taken alike.
+    Names, paths and loaded objects are all accepted.
 
     Args:
         garment: built-in name, mesh file, Garment fitted to this body at rest, or WornGarment; of several, a list,
             inner first.
         body: built-in name, model or sequence file, or a body already loaded; None for no body.
-        motion: built-in name, file or Motion; default "walk". A body that is a sequence of vertices brings its own.
+        motion: built-in name, file or Motion; default "walk". A body that is a sequence of vertices has its own motion.
         options: fields of `Run` on the scene by name, such as body_shape, frames, lead_in, crop, fps, arms_away, seed,
-            environment; and triangles, material and pins of the garments, one for all or a list with one each, which
-            hold where a WornGarment leaves them open.
+            environment; and triangles, material and pins of the garments, one for all or a list with one each, used
+            where a WornGarment does not set them.
 
     Raises:
-        InputError: anything cannot be used, or what is given with a loaded object conflicts with it.
+        InputError: an input cannot be used, or an option conflicts with a loaded object.
 
     Warns:
-        InputWarning: the body does not perform the motion or does not stand on the ground, nothing holds a garment up
-            that comes from a file and is given without pins, or skin may show through a garment that is coarse for the
-            body.
+        InputWarning: the body does not perform the motion or does not stand on the ground, nothing holds up a garment
+            from a file without pins, or skin may show through a garment that is coarse for the body.
     """
     names = ("material", "pins", "triangles", "environment", *entries("scene"))
     refuse_unknown("option of a scene", options, names)
@@ -92,14 +91,14 @@ def make_scene(
 
 
 def build_scene(run: Run, written_fps: float | None = None) -> Scene:
-    """Scene of a run, everything in it loaded.
+    """Scene of a run, with all inputs loaded.
 
     Args:
-        run: names, paths or loaded objects that the scene is made of; its options are not looked at.
+        run: names, paths or loaded objects of the scene; its other options are ignored.
         written_fps: frames per second [1/s] that the result is written at; the run's by default.
 
     Raises:
-        InputError: anything cannot be used, or what is given with a loaded object conflicts with it.
+        InputError: an input cannot be used, or an option conflicts with a loaded object.
 
     Warns:
         InputWarning: as `make_scene` does.
@@ -158,10 +157,10 @@ def _on_springs(garment: Garment, spec: WornGarment, frames: int, lead_in: int, 
     if spec.pin_stiffness is None and spec.pins_until is None:
         return garment
     if not garment.pinned.any():
-        raise InputError(f"Nothing pins {garment.name}, so its pins can neither give way nor let go; give --pins too.")
+        raise InputError(f"Nothing pins {garment.name}, so it has no pins to soften or release; give --pins too.")
     if spec.pins_until is not None and spec.pins_until >= frames:
         raise InputError(
-            f"The pins of {garment.name} cannot let go at frame {spec.pins_until}: the last is {frames - 1}."
+            f"The pins of {garment.name} cannot be released at frame {spec.pins_until}: the last frame is {frames - 1}."
         )
     until = math.inf if spec.pins_until is None else (lead_in + spec.pins_until) / fps
     return replace(garment, springs=PinSprings(spec.pin_stiffness or _FIRM, until))
@@ -212,7 +211,7 @@ def _lost_folds(garments: Sequence[Garment]) -> tuple[str, ...]:
         enough = math.ceil(1.05 * len(garment.faces) * (edge / longest) ** 2 / 100) * 100
         notes.append(
             f"{garment.name}: edges of {1e3 * edge:.0f} mm are too long for the folds of this cloth; --triangles "
-            f"{enough} has edges of {1e3 * longest:.0f} mm, which have most of them."
+            f"{enough} gives edges of {1e3 * longest:.0f} mm, which show most of them."
         )
         warn(notes[-1], InputNote)
     return tuple(notes)

@@ -15,7 +15,7 @@ from pb4u.geometry.triangulation import triangulate
 
 @dataclass(frozen=True, eq=False)
 class Polygons:
-    """Faces of any number of corners, laid end to end.
+    """Faces with any number of corners, concatenated.
 
     Args:
         sizes: (polygons,) int64 number of corners of each, 3 or more.
@@ -109,7 +109,7 @@ class Polygons:
 
 @dataclass(frozen=True, eq=False)
 class SourceTrack:
-    """Attachment of the author's own mesh to the simulated one: each vertex at a place on a simulated face.
+    """Attachment of the author's own mesh to the simulated one: each vertex to a point of a simulated face.
 
     Args:
         faces: (source faces, 3) int64 triangulated source.
@@ -152,7 +152,7 @@ class SourceTrack:
 
     @staticmethod
     def joined(garments: Sequence[Garment]) -> SourceTrack | None:
-        """How the authors' meshes of several garments follow the simulated ones; None if all are simulated as they are.
+        """Attachment of the authors' meshes of several garments; None if all are simulated unchanged.
 
         Args:
             garments: the garments, in the order of their vertices.
@@ -209,7 +209,7 @@ def split_seams(
         uv_faces: (faces, 3) int64 UV points, or None.
 
     Returns:
-        (written,) int64 the vertex behind each written one, which begins 0, 1, ..., vertices-1; (faces, 3) corners as
+        (written,) int64 the vertex of each written one, beginning 0, 1, ..., vertices-1; (faces, 3) corners as
         written ones; (written, 2) float32 UVs, or None.
     """
     if uvs is None or uv_faces is None:

@@ -41,7 +41,8 @@ class PackedColliders:
         contact: (vertices,) bool, False where contact is not answered.
         vertex_world: (vertices,) int64 world of each vertex, ascending.
         surfaces: the searchable surface of each world's bodies, regions left out of contact cut away and the holes
-            closed: cloth that a hand went through would come into the forearm by its open end. None for a world without
+            closed: otherwise cloth crossed by a hand would enter the forearm through its open end. None for a world
+                without
             a body that may be touched.
         capacities: fixed numbers of what searches find, where shapes may not wait for data; None elsewhere.
     """
@@ -56,8 +57,8 @@ class PackedColliders:
         """The surfaces of all worlds for searches in tensors; None where there is none.
 
         Args:
-            worlds: number of worlds, those after the last with a body included.
-            positions: (vertices, 3) [m] of the pose that forms groups, where they are not formed yet.
+            worlds: number of worlds, including worlds without a body at the end.
+            positions: (vertices, 3) [m] of the pose from which to form groups if there are none yet.
         """
         return self._formed(
             "surface_groups",
@@ -73,7 +74,7 @@ class PackedColliders:
         """Vertices of each world that may be touched, in groups; None where a world has none.
 
         Args:
-            positions: (vertices, 3) [m] of the pose that forms groups, where they are not formed yet.
+            positions: (vertices, 3) [m] of the pose from which to form groups if there are none yet.
         """
         if not all(len(rows) for rows in self.touchable):
             return None
@@ -156,7 +157,7 @@ class PackedColliders:
 
     @cached_property
     def trees(self) -> WeakKeyDictionary[PackedGarments, tuple[SurfaceTree, np.ndarray]]:
-        """Searches among garments and these bodies, with areas (body vertices,) [m^2], of packs that met them."""
+        """Searches among garments and these bodies, with areas (body vertices,) [m^2], by pack of garments."""
         return WeakKeyDictionary()
 
     def pose(self, positions: Tensor) -> ColliderPose:
@@ -168,7 +169,7 @@ class PackedColliders:
         return ColliderPose(self, positions)
 
     def to(self, device: torch.device, capacities: Capacities | None = None) -> PackedColliders:
-        """Copy with its arrays on `device`, and what is known of them.
+        """Copy with its arrays and derived data on `device`.
 
         Args:
             device: of the copy.
@@ -190,15 +191,16 @@ class PackedColliders:
 
 
 class ColliderPose:
-    """The bodies of a pack at one instant; their search trees are built on first use, and kept with it.
+    """The bodies of a pack at one instant; their search trees are built on first use, and cached.
 
     Args:
         colliders: static quantities of the bodies.
         positions: (vertices, 3) [m].
 
     Attributes:
-        found: what was last queried here for the vertices of a pack of garments, which may serve again.
-        passed: through what of a pack of garments the bodies were found to be, and at which positions of these.
+        found: results of the last query for the vertices of a pack of garments, for reuse.
+        passed: vertices of a pack of garments through which the bodies have passed, and the positions for which this
+            was found.
     """
 
     def __init__(self, colliders: PackedColliders, positions: Tensor) -> None:
@@ -240,7 +242,7 @@ class ColliderPose:
         return self._posed(self.colliders.whole_surfaces)
 
     def apart(self) -> ColliderPose:
-        """This pose for another thread: it shares what is built, and keeps to itself what is queried there."""
+        """This pose for another thread: it shares built trees, but has its own query results."""
         other = copy.copy(self)
         other.found, other.passed = dict(self.found), dict(self.passed)
         return other
@@ -315,7 +317,7 @@ def pack_colliders(
         faces: (faces, 3) int64 vertex indices of each body, on one device.
         contact: (vertices,) bool flags of each body, False where contact is not answered.
         worlds: world of each body, ascending.
-        surfaces: the searchable surface of each world's bodies, where they are already made.
+        surfaces: the searchable surface of each world's bodies, if already built.
     """
     if not faces:
         faces, contact, worlds = [torch.zeros((0, 3), dtype=torch.int64)], [torch.zeros(0, dtype=torch.bool)], [0]

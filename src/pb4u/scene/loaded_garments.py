@@ -66,13 +66,13 @@ def load_garments(
     """The garments, and how each was specified, in the order they are worn, inner first.
 
     Args:
-        specified: which, inner first but for what is tucked into another.
-        body: who wears them.
-        as_recorded: whether a recording is played as it is, with garments as coarse as its authors had them.
-        rest_shape: of the built-in ones.
+        specified: the garments, inner first except for tucked ones.
+        body: the body that wears them.
+        as_recorded: whether a recording is played unchanged, with garments as coarse as its authors used.
+        rest_shape: of the built-in garments.
 
     Raises:
-        InputError: one cannot be read, or does not fit.
+        InputError: a garment cannot be read, or does not fit.
     """
     garments = []
     for spec in specified:
@@ -92,18 +92,18 @@ def _is_own_count(spec: WornGarment, garment: Garment) -> bool:
 
 
 def load_garment(spec: WornGarment, body: Body, rest_shape: RestShape = Run.rest_shape) -> Garment:
-    """One garment, through all stages; an image that is laid on comes last.
+    """One garment, through all stages; its texture comes last.
 
     Args:
-        spec: which garment, and what is asked for of it.
-        body: who wears it.
+        spec: the garment and its options.
+        body: the body that wears it.
         rest_shape: of a built-in one.
 
     Raises:
         InputError: it cannot be read, or does not fit.
 
     Warns:
-        InputWarning: its file is odd, it starts inside the body, or nothing holds it up.
+        InputWarning: its file is unusual, it starts inside the body, or nothing holds it up.
     """
     kind = kind_of(spec.garment)
     if kind is KINDS["built-in"] and rest_shape == "flat":
@@ -127,14 +127,14 @@ def load_garment(spec: WornGarment, body: Body, rest_shape: RestShape = Run.rest
 
 
 def fabrics_of_parts(name: str, garment: Garment) -> dict[str, str | None]:
-    """The parts of a garment that may have a material of their own, and the fabric that each is made of.
+    """The parts of a garment that may have a material of their own, and the fabric of each.
 
     Args:
         name: built-in name or file.
-        garment: as it is read of that.
+        garment: as read from it.
 
     Returns:
-        By name, None for what is of the same cloth as the rest.
+        By name; None for parts of the same cloth as the rest.
     """
     fabrics = _banded(WornGarment(name)).materials
     return {part: None if part not in fabrics else str(fabrics[part]) for part in Parts(garment).names}
@@ -167,13 +167,13 @@ def _banded(spec: WornGarment) -> WornGarment:
 
 
 class Kind(NamedTuple):
-    """What reads a kind of garment, and what is known of all of that kind.
+    """The reader of a kind of garment, and properties of this kind.
 
     Args:
-        read: makes the garment that is named for a body, of a material; a built-in one of a rest shape.
-        is_file: whether others made it, so that it is to be found out what holds it and whether the body wears it.
-        is_fitted: whether it is made on the body that wears it, with as many triangles as are asked for.
-        is_at_origin: whether it stands around the own origin of a body's model.
+        read: makes the named garment for a body, with a material and, if built in, a rest shape.
+        is_file: whether it comes from a file, so that its support and its fit to the body must be checked.
+        is_fitted: whether it is made on the body that wears it, with the requested number of triangles.
+        is_at_origin: whether it is placed around the origin of the body's model.
     """
 
     read: Callable[[WornGarment, Body, Material, RestShape], Garment]
@@ -183,7 +183,7 @@ class Kind(NamedTuple):
 
 
 def kind_of(garment: str | Path | Garment) -> Kind:
-    """The kind of a garment, one of `KINDS`, by its name alone.
+    """The kind of a garment, one of `KINDS`, from its name.
 
     Args:
         garment: name, path, or Garment made in Python.
@@ -240,8 +240,8 @@ def _object(spec: WornGarment, body: Body, material: Material, rest_shape: RestS
     assert isinstance(garment, Garment)
     if len(loose := garment.topology.isolated_vertices):
         raise InputError(
-            f"garment {garment.name}: {len(loose)} of its {len(garment.vertices)} vertices are in no face, first "
-            f"{loose[:5].tolist()}; no cloth would carry them, so leave them out."
+            f"garment {garment.name}: {len(loose)} of its {len(garment.vertices)} vertices are in no face, the first "
+            f"of them {loose[:5].tolist()}; leave them out."
         )
     if body is not None:
         require_near(garment, body)
@@ -259,11 +259,11 @@ KINDS = {
 
 
 def read(spec: WornGarment, body: Body, rest_shape: RestShape = Run.rest_shape) -> Garment:
-    """A garment as its source gives it, in the material of the run; else in its own, or in the default one.
+    """A garment from its source, in the material of the run; else in its own, or in the default one.
 
     Args:
         spec: which garment.
-        body: who wears it.
+        body: the body that wears it.
         rest_shape: of a built-in one.
 
     Raises:
@@ -271,7 +271,9 @@ def read(spec: WornGarment, body: Body, rest_shape: RestShape = Run.rest_shape) 
     """
     kind = kind_of(spec.garment)
     if body is None and kind.is_fitted:
-        raise InputError(f"{spec.name} is made on the body that wears it, and body {NONE} has none; give a mesh file.")
+        raise InputError(
+            f"{spec.name} is fitted to the body that wears it, but --body {NONE} gives none; give a mesh file."
+        )
     return kind.read(spec, body, _material(spec.materials.get(REST, DEFAULT_MATERIAL)), rest_shape)
 
 
@@ -282,11 +284,11 @@ def _material(material: str | Path | Material) -> Material:
 
 
 def place(garment: Garment, body: Body, kind: Kind) -> Garment:
-    """The garment where the body stands.
+    """The garment moved to the position of the body.
 
     Args:
-        garment: as it was read.
-        body: who wears it.
+        garment: as read.
+        body: the body that wears it.
         kind: of the garment.
     """
     if not (kind.is_at_origin and isinstance(body, ShapedBody)):
@@ -298,8 +300,8 @@ def remesh(garment: Garment, body: Body, kind: Kind, triangles: int | None) -> G
     """The garment with about `triangles` triangles, outside the body where its author's mesh is.
 
     Args:
-        garment: where it is worn.
-        body: who wears it.
+        garment: as worn at rest.
+        body: the body that wears it.
         kind: of the garment.
         triangles: wanted number; None for its own.
 
@@ -323,13 +325,13 @@ def remesh(garment: Garment, body: Body, kind: Kind, triangles: int | None) -> G
 def hold(
     garment: Garment, body: Body, kind: Kind, pins: str | Path | Sequence[int] | None
 ) -> tuple[Garment, Support | None]:
-    """The garment, pinned, and what holds it up where no pins do; None where that is not looked for.
+    """The garment, pinned, and its support if it has no pins; None if this is not searched for.
 
     Args:
-        garment: where it is worn.
-        body: who wears it.
+        garment: as worn at rest.
+        body: the body that wears it.
         kind: of the garment.
-        pins: as for `resolve_pins`; None for its own, or for what is found.
+        pins: as for `resolve_pins`; None for its own pins, or for a support that is found.
 
     Raises:
         InputError: pins that it does not have.
@@ -342,8 +344,8 @@ def hold(
     if support.held is None:
         return garment, support
     warn(
-        f"{garment.name}: its {support.name}, {int(support.held.sum())} vertices, was found and holds it; --pins "
-        "none lets it go.",
+        f"{garment.name}: its {support.name}, {int(support.held.sum())} vertices, was found and is pinned to the "
+        "body; --pins none releases it.",
         InputNote,
     )
     return garment.with_pins(support.held), None
@@ -353,10 +355,10 @@ def check(garment: Garment, body: Body, kind: Kind, support: Support | None, fil
     """The garment with the limbs of the body inside it, if the body wears it.
 
     Args:
-        garment: as it is held.
-        body: who wears it.
+        garment: with its pins.
+        body: the body that wears it.
         kind: of the garment.
-        support: what holds it up, None where that is not to be told of.
+        support: what holds it up; None if this is not reported.
         file: what the user named, for the cures.
 
     Raises:

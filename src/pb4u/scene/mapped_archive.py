@@ -20,7 +20,7 @@ def map_archive(path: Path) -> dict[str, np.ndarray]:
         path: path of the .npz.
 
     Raises:
-        InputError: the file cannot be read whole, or what is compressed in it would take more memory than it may.
+        InputError: the file is incomplete, or its compressed arrays would take more memory than allowed.
     """
     members: dict[str, np.ndarray] = {}
     with open_archive(path) as archive, path.open("rb") as raw:

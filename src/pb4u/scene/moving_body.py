@@ -34,8 +34,8 @@ class Performance:
     Args:
         body: the moving body, lead-in included; None where the scene has none.
         frames: frames that are there to write.
-        motion: name of what it performs.
-        notes: plain sentences on what was changed or ignored.
+        motion: name of the motion.
+        notes: plain sentences on changed or ignored inputs.
     """
 
     body: AnimatedBody | None
@@ -45,10 +45,10 @@ class Performance:
 
 
 def perform(run: Run) -> tuple[ShapedBody | VertexSequence | None, Performance]:
-    """The body of a run as garments are fitted to it, and in motion, or none; warns of what does not fit.
+    """The body of a run in the pose for fitting garments, and in motion, or none; warns of inputs that do not fit.
 
     Args:
-        run: says which body, in what shape, and what it performs.
+        run: gives the body, its shape and its motion.
 
     Raises:
         InputError: body or motion cannot be used, or not together.
@@ -66,14 +66,14 @@ def _nobody(run: Run) -> Performance:
     """A scene without a body, of which nothing of a body can be asked."""
     for name, entry in described(Run).items():
         if entry.flag.panel in (BODY, RESEARCH) and name != "body" and getattr(run, name) not in (entry.default, {}, 0):
-            raise InputError(f"{name.replace('_', '-')} is of a body, and body {NONE} has none; leave it out.")
+            raise InputError(f"{name.replace('_', '-')} needs a body, but --body {NONE} gives none; leave it out.")
     return Performance(None, run.frames or DEFAULT_FRAMES, NONE)
 
 
 def _recording(run: Run) -> MotionAsRecorded:
     motion = run.motion
     if not isinstance(motion, str | Path) or Path(motion).suffix.lower() not in AS_RECORDED:
-        raise InputError("To play a recording as recorded, give its file as the motion: a .pkl or .npz of SMPL.")
+        raise InputError("To play a recording as recorded, give its .pkl or .npz file of SMPL as the motion.")
     if run.recorded_fps is not None:
         raise InputError("A recording as recorded has the frame rate of its file; leave out --recorded-fps.")
     return AS_RECORDED[Path(motion).suffix.lower()](Path(motion), run.crop, run.arms_away)
@@ -119,7 +119,7 @@ def _shaped_body(run: Run, shape: Mapping[str, float]) -> ShapedBody | VertexSeq
     if not isinstance(body, ShapedBody | VertexSequence):
         raise InputError("A moving body must be a shaped body or a vertex sequence.")
     if run.body_shape:
-        raise InputError(f"{body.name} is a body already loaded, with its shape; give body_shape to load_body instead.")
+        raise InputError(f"{body.name} is already loaded with its shape; give body_shape to load_body instead.")
     return body
 
 
@@ -132,10 +132,10 @@ def _perform(body: ShapedBody, run: Run) -> Performance:
             return _perform_clip(body, run)
         if not body.is_human:
             raise InputError(
-                f"{body.name} performs its own clips alone: its bones are not a human's; leave out --motion."
+                f"{body.name} can perform only its own clips, because its bones are not a human's; leave out --motion."
             )
     if isinstance(body, Character) and run.clip is not None:
-        raise InputError(f"{body.name} performs either its clip {run.clip} or --motion; leave one out.")
+        raise InputError(f"{body.name} can perform either its clip {run.clip} or --motion; leave one out.")
     clip, name = _load_motion(run)
     frames = _frames(run, name, clip.available_frames(run.fps))
     poses, more = clip.perform(body, run.fps, frames)
@@ -185,18 +185,21 @@ def _play(body: VertexSequence, run: Run) -> Performance:
     stands = len(body.vertices) == 1
     motion, by_itself = run.motion, f"{body.name} is a sequence of vertices that moves by itself"
     if stands:
-        by_itself = f"{body.name} is a mesh without bones, which stands still"
-    _refuse_changes(run, by_itself, "change the sequence where it comes from", ("crop", "arms_away"))
+        by_itself = f"{body.name} is a mesh without bones, which does not move"
+    _refuse_changes(run, by_itself, "change the sequence in the program it comes from", ("crop", "arms_away"))
     if run.recorded_fps is not None:
         body = body.recorded_at(run.recorded_fps)
     if motion is not None:
         ignored = motion if isinstance(motion, str | Path) else motion.name
         warn(f"{by_itself}; the motion {ignored} is not used.")
     elif stands:
-        warn(f"{by_itself}; a rigged character, or a .pc2 or .mdd beside an .obj, moves.", InputNote)
+        warn(
+            f"{by_itself}; give a rigged character, or a .pc2 or .mdd beside an .obj, for a body that moves.", InputNote
+        )
     if body.from_video and not run.raw_motion:
         warn(
-            f"{body.name}: from a video, so what is faster than {CUTOFF:g} Hz is smoothed out; --raw-motion leaves it."
+            f"{body.name}: recorded from a video, so motion faster than {CUTOFF:g} Hz is smoothed out; --raw-motion "
+            "keeps it."
         )
         body = body.smoothed(CUTOFF)
     # A body that never moves has no end: it stands for as long as wanted.
@@ -219,7 +222,7 @@ def _frames(run: Run, name: str, available: int | None) -> int:
     if run.frames is None:
         return available or DEFAULT_FRAMES
     if available is not None and run.frames > available:
-        there = f"{run.frames} are wanted, {available} are there"
+        there = f"{run.frames} are requested, {available} exist"
         warn(f"{name} ends after {available} frames at {run.fps:g} fps; {there}.")
         return available
     return run.frames

@@ -39,7 +39,8 @@ class PackedGarments:
             where the garment has one.
         face_areas: (faces,) rest areas [m^2].
         membrane: (faces, 4) moduli c11 (weft), c22 (warp), c12 and c33 [N/m] along the axes of the rest shape.
-        stiffening: (faces, 2) stretch of a thread beyond which it stiffens [1], and by how much for a unit of it [N/m].
+        stiffening: (faces, 2) stretch of a thread beyond which it stiffens [1], and the increase of its modulus for
+            each unit of stretch [N/m].
         damping: (faces,) damping times [s].
         edges: (edges, 2) int64.
         edge_lengths: (edges,) rest lengths [m].
@@ -50,9 +51,9 @@ class PackedGarments:
         friction: (vertices,) coefficient of friction on skin and ground.
         vertex_masses: (vertices,) [kg].
         vertex_areas: (vertices,) [m^2].
-        pinned: (vertices,) bool; those on springs are not.
-        pin_stiffness: (vertices,) [N/m] of the springs of those that are pinned on springs, 0 of others.
-        pinned_until: (vertices,) [s] when these let go.
+        pinned: (vertices,) bool; False for pins on springs.
+        pin_stiffness: (vertices,) [N/m] of the springs of pins on springs, 0 for other vertices.
+        pinned_until: (vertices,) [s] time of their release.
         vertex_garment: (vertices,) int64 garment of each row, ascending.
         face_garment: (faces,) int64, likewise.
         hinge_garment: (hinges,) int64, likewise.
@@ -95,7 +96,7 @@ class PackedGarments:
     def lame_mu(self) -> Tensor:
         """Second Lame parameter (faces,) [Pa] of the isotropic cloth that is nearest: what networks read.
 
-        All cloth that they are trained on is of one thickness, by which stiffness by length is divided here.
+        All cloth that networks are trained on has the same thickness, by which stiffness per length is divided here.
         """
         return nearest_isotropic(*self.membrane.unbind(1))[0] / Material.thickness
 
@@ -106,7 +107,7 @@ class PackedGarments:
 
     @cached_property
     def stiffens(self) -> bool:
-        """Whether some cloth grows stiffer where it is stretched; known without asking the device."""
+        """Whether some cloth stiffens under stretch; known without reading from the device."""
         return any(material.stiffening_stiffness > 0.0 for material in self._materials)
 
     @cached_property
@@ -145,10 +146,10 @@ class PackedGarments:
 
     @cached_property
     def world_rows(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Rows of all worlds side by side, those of shorter ones filled up with their last.
+        """Rows of all worlds side by side; shorter worlds are padded with their last row.
 
-        Vertex (worlds, rows) int64 of each row, whether it is no repetition (worlds, rows) bool, and the row
-        (vertices,) int64 of each vertex among all of them one after the other.
+        Vertex (worlds, rows) int64 of each row, whether it is not a repetition (worlds, rows) bool, and the row
+        (vertices,) int64 of each vertex in the concatenated rows.
         """
         offsets = to_device(torch.as_tensor(self.world_offsets), self.device)
         rows = torch.arange(int(max(np.diff(self.world_offsets), default=0)), device=self.device)
@@ -164,7 +165,7 @@ class PackedGarments:
 
     @cached_property
     def impulse_masses(self) -> np.ndarray:
-        """Masses (vertices,) float64 [kg] by which vertices give way to impulses; infinite for pinned ones."""
+        """Masses (vertices,) float64 [kg] of vertices for impulses; infinite for pinned ones."""
         return as_float64(torch.where(self.pinned, torch.inf, self.vertex_masses.clamp_min(1e-12)))
 
     @cached_property
@@ -219,11 +220,11 @@ class PackedGarments:
         return values.new_zeros(self.world_count).index_add(0, self.garment_world, values)
 
     def to(self, device: torch.device, dtype: torch.dtype | None = None) -> PackedGarments:
-        """Copy with its arrays on `device`, the floating ones in `dtype` where given.
+        """Copy with its arrays on `device`, floating-point ones in `dtype` if given.
 
         Args:
             device: where the arrays go.
-            dtype: of floating arrays; None keeps theirs.
+            dtype: of floating-point arrays; None keeps theirs.
         """
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         tensors: dict[str, Any] = {
@@ -276,8 +277,8 @@ def inverse_rest_shapes(corners: np.ndarray) -> np.ndarray:
     bad = np.flatnonzero(~(np.abs(doubled) > 1e-6 * lengths[0] * np.maximum(*lengths)))
     if len(bad):
         raise InputError(
-            f"{len(bad)} rest triangle(s) have no area, first faces {bad[:5].tolist()}; "
-            "mend them with `pb4u check GARMENT.obj --fix OUT.obj`."
+            f"{len(bad)} rest triangle(s) have no area, the first faces {bad[:5].tolist()}; repair them with `pb4u "
+            "check GARMENT.obj --fix OUT.obj`."
         )
     return np.stack([c2, -c1, -b2, b1], axis=1).reshape(-1, 2, 2) / doubled[:, None, None]
 
@@ -299,10 +300,10 @@ def pack(
     """Concatenate garments.
 
     Args:
-        garments: to pack, those of a world one after the other.
+        garments: to pack, grouped by world.
         dtype: data type of floating arrays.
         device: device of the arrays.
-        worlds: world of each garment, ascending from 0; each alone in its own by default.
+        worlds: world of each garment, ascending from 0; each in its own world by default.
 
     Raises:
         InputError: a rest triangle is degenerate.

@@ -30,20 +30,20 @@ class Scene:
     """Garments on moving bodies.
 
     Frames run 0..lead_in + frames - 1: the first `lead_in` lead from the garment's rest pose into the motion and are
-    simulated but not written, unless they are kept: then they are the first of `frames`.
+    simulated but not written, unless the lead-in is kept: then they are the first of `frames`.
 
     Args:
         garments: the garments worn, inner first.
-        colliders: the moving bodies, each of all frames; none where cloth hangs or falls by itself.
+        colliders: the moving bodies, each with all frames; empty if cloth hangs or falls without a body.
         frames: number of frames to write.
         lead_in: number of frames before the first written one.
         kept_lead_in: number of written frames that lead into the motion too.
         fps: frames per second [1/s]; one time step lasts 1 / fps.
         environment: gravity, air and ground.
         seed: seed of everything random in the simulation.
-        labels: names for the metadata: garment, sources (name or file of each, None for a loaded one), body,
+        labels: names for the metadata: garment, sources (name or file of each, None for a loaded object), body,
             body_shape, motion, rest_shape.
-        notes: plain sentences about what was found, changed or ignored while the scene was made.
+        notes: plain sentences on inputs that were found, changed or ignored while the scene was made.
 
     Raises:
         InputError: it has no garment.

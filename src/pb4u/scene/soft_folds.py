@@ -60,10 +60,10 @@ _NEIGHBOURS = 8
 
 
 class SoftFolds:
-    """A moving body whose skin gives way.
+    """A moving body whose skin folds open.
 
     Args:
-        body: as it is posed; what it leaves out of contact neither presses nor gives way.
+        body: the posed body; regions left out of contact neither press nor move.
     """
 
     def __init__(self, body: AnimatedBody) -> None:
@@ -90,7 +90,7 @@ class SoftFolds:
         return torch.stack([torch.from_numpy(self.opened(frame)) for frame in posed.numpy()])
 
     def opened(self, positions: np.ndarray) -> np.ndarray:
-        """The vertices (vertices, 3) of one frame with the folds opened; the same array where there are none.
+        """The vertices (vertices, 3) of one frame with the folds opened; the same array if there are none.
 
         Args:
             positions: (vertices, 3) [m].

@@ -15,9 +15,9 @@ class State:
         positions: (vertices, 3) [m].
         velocities: (vertices, 3) [m/s].
         frame: index of the frame in its scene, lead-in included.
-        history: what the rule of integration keeps of the step that led here; without, it begins anew.
-        load: (vertices,) [N] with which bodies pressed each vertex where the step ended, before what they left inside
-            was pushed out; None where it is what the place of the vertex says.
+        history: data of the previous step for the integration rule; without, the rule restarts.
+        load: (vertices,) [N] contact force of bodies on each vertex at the end of the step, before vertices inside were
+            pushed out; None if it follows from the positions.
     """
 
     positions: Tensor

@@ -22,7 +22,7 @@ from pb4u.scene.trajectory_file import TrajectoryWriter, encoded, read_members
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryHeader:
-    """Static part of a trajectory: everything that does not change from frame to frame.
+    """Static part of a trajectory: all data that do not change from frame to frame.
 
     Args:
         faces: (faces, 3) int64.
@@ -37,7 +37,7 @@ class TrajectoryHeader:
         uv_faces: (faces, 3) int64 UV points of each face, or None.
         source: the author's mesh where it differs from the simulated one.
         rest_uv: (faces, 3, 2) float64 corners [m] of faces that lie flat at rest, along the grain where `metadata` says
-            that a garment has one; NaN for those of garments whose rest shape is `rest_positions`; None where all are.
+            that a garment has one; NaN for garments whose rest shape is `rest_positions`; None if that holds for all.
         polygons: the faces before they were cut into triangles, where this mesh is the author's own; or None.
         appearances: colours and images of the faces, where their author gave any.
         material_layers: (faces, materials) float64 number of layers of each of the `materials` in `metadata` on each
@@ -66,7 +66,7 @@ class TrajectoryHeader:
 
     @staticmethod
     def of(scene: Scene, metadata: dict[str, Any]) -> TrajectoryHeader:
-        """Header of what is simulated of a scene, its garments and its bodies each joined into one mesh.
+        """Header for the simulation of a scene, with all garments joined into one mesh and all bodies into another.
 
         Args:
             scene: garments and bodies.
@@ -142,7 +142,7 @@ class TrajectoryHeader:
 
     @property
     def garments(self) -> list[dict[str, Any]]:
-        """Entries of each garment in `metadata`; one entry for files of older versions, which have none."""
+        """Entries of each garment in `metadata`; a single entry for files of older versions, which have none."""
         entry = {
             "name": self.metadata.get("garment", "garment"),
             "material": self.metadata.get("material"),
@@ -154,7 +154,8 @@ class TrajectoryHeader:
 
     @property
     def materials(self) -> list[tuple[dict[str, Any], np.ndarray]]:
-        """Each material in `metadata`, of older files one a garment, and which faces (faces,) bool are of it."""
+        """Each material in `metadata` (in older files one for each garment), and the mask (faces,) bool of its
+        faces."""
         span = [0, len(self.faces)]
         older = [{**(item.get("material") or {}), "faces": [item.get("triangles", span)]} for item in self.garments]
         materials = []
@@ -189,7 +190,7 @@ def _materials(garments: Sequence[Garment], first_triangles: Sequence[int]) -> l
 
 
 def ranges_of(chosen: np.ndarray) -> list[list[int]]:
-    """Ranges [first, stop) that hold the places where `chosen` (places,) bool is true, as metadata lists them."""
+    """Ranges [first, stop) of the indices for which `chosen` (n,) bool is true, as metadata lists them."""
     ranges: list[list[int]] = (
         np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]))).reshape(-1, 2).tolist()
     )
@@ -278,7 +279,7 @@ class Trajectory:
             yield Frame(p, v, b)
 
     def with_frames(self, change: Callable[[np.ndarray], np.ndarray], fps: float) -> Trajectory:
-        """The trajectory with other frames, made of those it has.
+        """The trajectory with other frames, computed from the present ones.
 
         Args:
             change: gives (frames, vertices, 3) from the positions, the velocities and the positions of the body.
@@ -323,14 +324,14 @@ class Trajectory:
         """The bytes of the .npz.
 
         Args:
-            half: float16 in place of float32. Positions are offsets from the middle of each frame's bounding box, so
+            half: float16 instead of float32. Positions are offsets from the middle of each frame's bounding box, so
                 that they are good to 0.25 mm in a box of 2 m, wherever in the world it is; velocities to 0.05 %.
         """
         return encoded(self, half)
 
     @classmethod
     def open(cls, path: str | Path) -> Trajectory:
-        """Map a trajectory file into memory; frames are read from disk as they are touched.
+        """Map a trajectory file into memory; frames are read from disk on access.
 
         Args:
             path: path of the .npz.

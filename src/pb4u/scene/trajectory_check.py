@@ -87,7 +87,7 @@ def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, 
             raise refuse(f"it has no {count}")
     for together in _TOGETHER:
         if 0 < sum(name in members for name in together) < len(together):
-            raise refuse(f"of {', '.join(together)} it has only a part")
+            raise refuse(f"it has only some of {', '.join(together)}")
     require_places(members, _POINTS_AT, counts, refuse)
     for prefix in ("", "source_"):
         sizes = members.get(f"{prefix}polygon_sizes")

@@ -43,8 +43,8 @@ def encoded(trajectory: Trajectory, half: bool = False) -> bytes:
     """The bytes of the .npz of a trajectory.
 
     Args:
-        trajectory: what is written.
-        half: float16 in place of float32. Positions are offsets from the middle of each frame's bounding box, so that
+        trajectory: to write.
+        half: float16 instead of float32. Positions are offsets from the middle of each frame's bounding box, so that
             they are good to 0.25 mm in a box of 2 m, wherever in the world it is; velocities to 0.05 %.
     """
     members = _header_members(trajectory.header)
@@ -67,7 +67,7 @@ def encoded(trajectory: Trajectory, half: bool = False) -> bytes:
 def read_members(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Arrays (...) of a trajectory file by name, in the units of `Trajectory` and its header, and its metadata.
 
-    Frames are mapped: they are read from disk as they are touched.
+    Frames are memory-mapped: they are read from disk on access.
 
     Args:
         path: path of the .npz.
@@ -81,7 +81,7 @@ def read_members(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         members = map_archive(path)
     except InputError as error:
         if path.suffix.lower() != ".npz":
-            raise InputError(f"{path} is no trajectory; give the .npz that `pb4u simulate` wrote.") from error
+            raise InputError(f"{path} is not a trajectory; give the .npz that `pb4u simulate` wrote.") from error
         reason = str(error).removeprefix(f"{path}: ")
         raise InputError(f"{path} cannot be read as a trajectory (cut short or another format): {reason}") from error
     version = members.get("format_version", np.array(FORMAT_VERSION))
@@ -163,7 +163,7 @@ def _write_members(archive: zipfile.ZipFile, members: Mapping[str, np.ndarray]) 
 class TrajectoryWriter:
     """Streams frames to disk, so that length is not bounded by memory; the file appears when it is closed.
 
-    An error on the way leaves nothing; an interrupt leaves the frames until then, at `interrupted_path`.
+    An error leaves no file; an interrupt leaves the frames so far, at `interrupted_path`.
 
     Args:
         path: path of the file.
@@ -195,7 +195,7 @@ class TrajectoryWriter:
             frame: the frame.
 
         Raises:
-            InputError: the disk takes no more.
+            InputError: the disk is full.
         """
         try:
             for name in _STREAMED:
@@ -210,7 +210,7 @@ class TrajectoryWriter:
         """Assemble the file and move it into place. Without a frame nothing is written.
 
         Raises:
-            InputError: the disk takes no more.
+            InputError: the disk is full.
         """
         try:
             for raw in self._raw.values():
@@ -230,7 +230,7 @@ class TrajectoryWriter:
     def _not_written(self, error: OSError) -> InputError:
         return InputError(
             f"Cannot write {self.path}: {error.strerror or error}; its {self.frame_count} frames are lost. Writing "
-            "takes twice the size of the file."
+            "needs twice the size of the file."
         )
 
     def _copy_member(self, archive: zipfile.ZipFile, name: str) -> None:
@@ -268,20 +268,20 @@ class TrajectoryWriter:
 
 
 def kept_sentence(frames: int, path: Path) -> str:
-    """What is kept of an interrupted run, the first `frames` frames in the file `path`, and what it is for.
+    """Sentence on the first `frames` frames of an interrupted run, kept in the file `path`, and their use.
 
     Args:
         frames: number of frames.
         path: of the file.
     """
     what = f"the first {'frame is' if frames == 1 else f'{frames} frames are'} in {path}"
-    return f"{what}, for `pb4u view` and `pb4u convert`; `pb4u simulate` does not go on from there"
+    return f"{what}, for `pb4u view` and `pb4u convert`; `pb4u simulate` cannot continue from there"
 
 
 def interrupted_path(path: Path) -> Path:
-    """Path of the frames that were there when a run was interrupted; a trajectory that lies at `path` stays.
+    """Path for the frames of an interrupted run; an existing trajectory at `path` stays.
 
     Args:
-        path: where the whole trajectory would lie.
+        path: path of the complete trajectory.
     """
     return path.with_name(f"{path.stem}.interrupted.npz")

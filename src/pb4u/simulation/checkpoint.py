@@ -119,7 +119,7 @@ class Checkpoint:
         trained = getattr(self.configuration, "scaling", None)
         if trained is None:
             raise InputError(
-                f"The network {self.name} is not of Pb4U-GNet's family and has no update scaling; leave --scaling out."
+                f"The network {self.name} is not of Pb4U-GNet's family and has no update scaling; leave out --scaling."
             )
         if name == scaling_name(trained):
             return None
@@ -138,8 +138,8 @@ class Checkpoint:
         fewest, most = self.record.propagation_steps
         if steps != 0 and not fewest <= steps <= most:
             warn(
-                f"{garment.name}: {steps} propagation steps, where the weights {self.name} were trained with "
-                f"{fewest} to {most}; expect over-stretched or unsteady cloth.",
+                f"{garment.name}: {steps} propagation steps, but the weights {self.name} were trained with {fewest} "
+                f"to {most}; expect over-stretched or unsteady cloth.",
             )
 
     @property
@@ -167,9 +167,10 @@ class Checkpoint:
                 if least * (1 - FABRIC_TOLERANCE) <= (value := getattr(nearest, name)) <= most * (1 + FABRIC_TOLERANCE):
                     continue
                 warn(
-                    f"{garment.name}: its {name.replace('_', ' ')} of {value:.3g} {_CLOTH[name]} lies outside of the "
-                    f"{least:.3g} to {most:.3g} that the weights {self.name} have seen; expect cloth that stretches or "
-                    "trembles, or give --material default, or --refine 5 for some of the solver after each step.",
+                    f"{garment.name}: its {name.replace('_', ' ')} of {value:.3g} {_CLOTH[name]} is outside the range "
+                    f"{least:.3g} to {most:.3g} of the training of the weights {self.name}; expect cloth that "
+                    "stretches or trembles, or give --material default, or --refine 5 for solver iterations after "
+                    "each step.",
                 )
                 break
 
@@ -188,8 +189,8 @@ class Checkpoint:
         triangles = round(garment.triangle_count * (length / bound) ** 2, -2)
         warn(
             f"{garment.name}: its edges are {1e3 * length:.1f} mm long on average, {side} than the "
-            f"{1e3 * finest:.1f} to {1e3 * coarsest:.1f} mm that the weights {self.name} have seen; expect {expect}, "
-            f"or remesh it with `--triangles {triangles:.0f}`.",
+            f"{1e3 * finest:.1f} to {1e3 * coarsest:.1f} mm of the training of the weights {self.name}; expect "
+            f"{expect}, or remesh it with `--triangles {triangles:.0f}`.",
         )
 
 
@@ -280,12 +281,12 @@ def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtyp
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(
-            f"{path} is no whole safetensors file ({error_text(error)}); fetch or train it again. "
-            "Of checkpoints in pickle formats (.pt, .pth, .ckpt) only .pth of the released research code are read."
+            f"{path} is not a complete safetensors file ({error_text(error)}); download or train it again. Of "
+            "checkpoints in pickle formats (.pt, .pth, .ckpt) only .pth files of the released research code are read."
         ) from error
     version = metadata.get("pb4u_format_version")
     if version is None or not version.isdecimal() or len(version) > 9:
-        raise InputError(f"{path} holds weights, but not those of a pb4u network: its header names no pb4u format.")
+        raise InputError(f"{path} has weights, but not those of a pb4u network: its header names no pb4u format.")
     if int(version) > FORMAT_VERSION:
         raise InputError(
             f"{path} is of checkpoint format {version} and this pb4u reads up to {FORMAT_VERSION}; upgrade pb4u."
@@ -425,8 +426,8 @@ def _check_fit(path: Path | str, expected: Mapping[str, Tensor], tensors: Mappin
     for key, tensor in tensors.items():
         if tensor.shape != expected[key].shape:
             raise InputError(
-                f"{path} has another feature layout or size than its header says: {key} is {tuple(tensor.shape)} "
-                f"where {tuple(expected[key].shape)} is meant."
+                f"{path} has another feature layout or size than its header says: {key} is {tuple(tensor.shape)} and "
+                f"should be {tuple(expected[key].shape)}."
             )
         if not bool(torch.isfinite(tensor).all()):
             raise InputError(f"{path} holds numbers that are not finite in {key}; its training diverged.")

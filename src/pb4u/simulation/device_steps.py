@@ -87,8 +87,8 @@ def require_memory(what: str, vertices: int, size: int, device: torch.device) ->
     free, _ = torch.cuda.mem_get_info(device)
     if size * vertices > free:
         raise InputError(
-            f"The card has {free / 1e9:.1f} GB left, and {what} takes about {size * vertices / 1e9:.1f} GB; garments "
-            f"of {2 * free // size:,} triangles in all would fit."
+            f"The card has {free / 1e9:.1f} GB free, but {what} takes about {size * vertices / 1e9:.1f} GB; garments "
+            f"of {2 * free // size:,} triangles in total would fit."
         )
 
 

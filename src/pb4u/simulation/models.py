@@ -69,7 +69,7 @@ def model_descriptions() -> dict[str, str]:
 
 def _network_line(name: str) -> str:
     if name.startswith("comparison-"):
-        return "small network that `pb4u evaluate` compares methods with"
+        return "small network with which `pb4u evaluate` compares methods"
     role = "the default network"
     if name != default_model():
         other = "the paper's own network" if name.startswith("literal") else "a network"
@@ -239,7 +239,9 @@ def _shipped_network(control: str) -> str:
     """Name of the network that a control stands beside."""
     name = default_model()
     if name == "solver":
-        raise InputError(f"{control} starts and searches as the default network does, and no network is installed.")
+        raise InputError(
+            f"{control} uses the start and the line search of the default network, but no network is installed."
+        )
     return name
 
 
@@ -283,7 +285,7 @@ def _refuse_other_files_of_a_training(path: Path) -> None:
     if path.is_dir():
         raise InputError(f"{path} is a folder, not a model; {advice}.")
     if path.is_file() and _TRAINING_STATE in _header(path):
-        raise InputError(f"{path} is what a training goes on from, not a model; {advice}.")
+        raise InputError(f"{path} is the saved state of a training, not a model; {advice}.")
 
 
 def _header(path: Path) -> dict[str, str]:
@@ -310,7 +312,7 @@ def available_device(name: str) -> str:
     if name == "cuda" and not torch.cuda.is_available():
         if torch.version.cuda is not None:
             raise InputError(
-                f"There is no CUDA device here that CUDA {torch.version.cuda} of this torch runs on; update the driver "
+                f"No CUDA device here works with CUDA {torch.version.cuda} of this torch; update the driver "
                 "of the card, install a torch for an older CUDA, or use --device cpu."
             )
         raise InputError("There is no CUDA device here; use --device cpu.")
@@ -324,7 +326,7 @@ def _precision(name: str, device: str, refine: int) -> torch.dtype:
         # What the products are rounded by, the solver's iterations take away; alone it would add up over frames.
         name = "bfloat16" if refine and has_bfloat16_units(device) else "float32"
     elif name == "bfloat16" and device == "cuda" and not has_bfloat16_units(device):
-        raise InputError("This card does not multiply in bfloat16; leave --precision out, or take float32.")
+        raise InputError("This card cannot multiply in bfloat16; leave out --precision, or give float32.")
     return torch.bfloat16 if name == "bfloat16" else torch.float32
 
 

@@ -74,7 +74,7 @@ def _decode(data: Any, types: dict[str, type]) -> Any:
         return data
     name = data.get("type")
     if name not in types:
-        raise InputError(f"The configuration holds a part of unknown type {name!r}.")
+        raise InputError(f"The configuration has a part of unknown type {name!r}.")
     values = {RENAMED.get(str(key), str(key)): _decode(value, types) for key, value in data.items() if key != "type"}
     allowed = {entry.name for entry in fields(types[name])}
     unknown = sorted(set(values) - allowed)

@@ -162,7 +162,7 @@ class StepFeatures:
         for feature in prepared.builder.layout.extra:
             if feature not in (DESCENT, ADVANCE):
                 raise InputError(
-                    f"The network reads the node feature {feature.name!r}, which this version cannot make."
+                    f"The network needs the node feature {feature.name!r}, which this version cannot compute."
                 )
 
     @torch.no_grad()

@@ -75,8 +75,8 @@ def simulated_fps(run: Run, simulator: Simulator) -> float:
     """
     if run.substeps > 1 and simulator.fps is not None:
         raise InputError(
-            f"The network {simulator.name} keeps the step that it was trained on, 1/{simulator.fps:g} s: leave "
-            "--substeps out, or take --model solver or quick-solver."
+            f"The network {simulator.name} keeps the time step of its training, 1/{simulator.fps:g} s: leave out "
+            "--substeps, or use --model solver or quick-solver."
         )
     simulated = simulator.fps or run.fps * run.substeps
     if simulator.fps is not None and not math.isclose(simulated, run.fps):

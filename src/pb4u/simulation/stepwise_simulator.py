@@ -206,9 +206,7 @@ class QuickSolver(StepwiseSimulator):
 
     def __post_init__(self) -> None:
         if self.refine < 1:
-            raise InputError(
-                f"The quick solver is nothing but iterations: it takes 1 or more a step, not {self.refine}."
-            )
+            raise InputError(f"The quick solver needs 1 iteration a step or more, not {self.refine}.")
 
     def settings(self) -> dict[str, Any]:
         return {**super().settings(), "refine": self.refine, "device": "cpu"}
@@ -258,10 +256,10 @@ class NetworkSimulator(StepwiseSimulator):
         # Who names a number of passes gets that number.
         self.further = network.configuration.further_passes if passes is None else 0
         if self.passes < 1:
-            raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
+            raise InputError(f"A network needs at least 1 pass a step, not {self.passes}.")
         if self.passes > 1 and ADVANCE not in network.configuration.layout.extra:
             raise InputError(
-                f"The network {checkpoint.name} was made for one pass a step; leave --passes out, or give 1."
+                f"The network {checkpoint.name} was made for one pass a step; leave out --passes, or give 1."
             )
         model = checkpoint.model
         if next(model.parameters()).device != self.device:

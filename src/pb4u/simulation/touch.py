@@ -109,5 +109,5 @@ def finite(point: tuple[float, float, float]) -> tuple[float, float, float]:
     except (TypeError, ValueError):
         x = y = z = float("nan")
     if not all(abs(value) < 1e3 for value in (x, y, z)):
-        raise InputError(f"A hand pulls to a place within a kilometre, in metres, not to {point!r}.")
+        raise InputError(f"The point to pull to must be within 1,000 m of the origin, not {point!r}.")
     return x, y, z

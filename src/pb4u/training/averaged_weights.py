@@ -27,20 +27,20 @@ FREE_LICENCE = "Apache-2.0"
 
 
 class AveragedWeights:
-    """Scores the averaged weights of a training, and keeps the best and those of the end.
+    """Scores the averaged weights of a training, and saves the best and the last ones.
 
     Args:
         configuration: everything that decides the training.
-        data: what it is trained on.
+        data: the training data.
         learner: the model in training.
         validation: scores a model.
         workers: this process and the others.
-        folder: where weights are kept, or None to keep nothing.
+        folder: for the weights, or None to save nothing.
         journal: log of scores and incidents.
 
     Attributes:
-        origin: record of the weights that the training began with, or None.
-        licence: of what is kept.
+        origin: record of the weights that the training started from, or None.
+        licence: of the saved weights.
     """
 
     def __init__(
@@ -59,8 +59,8 @@ class AveragedWeights:
         self.licence = FREE_LICENCE
 
     def seconds_to_validate(self) -> float:
-        """Time [s] that a validation at the end takes; what it compares with is made before."""
-        self.journal.say("Making what validations compare with; the minutes begin after it.")
+        """Time [s] of a validation at the end; its references are computed first."""
+        self.journal.say("Simulating the reference runs for validation; the training time counts from after them.")
         _ = self.validation.references
         began = time.monotonic()
         score = self._score()
@@ -68,10 +68,10 @@ class AveragedWeights:
         return (time.monotonic() - began) / max(score.survived, 0.25)
 
     def validate(self, counters: Counters) -> None:
-        """Score the weights, and keep them where they are the best so far.
+        """Score the weights, and save them if they are the best so far.
 
         Args:
-            counters: where the training stands; the best score is noted there.
+            counters: progress of the training; the best score is recorded there.
         """
         if counters.validated == counters.step and counters.best is not None:
             return
@@ -89,12 +89,12 @@ class AveragedWeights:
         self.journal.note_score(counters.step, score, best)
 
     def save(self, which: str, score: dict[str, float], counters: Counters) -> None:
-        """Keep the weights: the best, or those of the end, which trainings of one budget are compared by.
+        """Save the weights: the best, or the last ones, by which trainings of equal budget are compared.
 
         Args:
             which: "best" or "final".
-            score: of them, as JSON data.
-            counters: where the training stands.
+            score: of these weights, as JSON data.
+            counters: progress of the training.
         """
         if self.folder is None or not self.workers.leads:
             return

@@ -52,7 +52,7 @@ class ExplosionGuard:
 
     @property
     def ratio(self) -> float:
-        """Ratio of the energies of late to those before, dimensionless."""
+        """Ratio of the latest energies to earlier ones, dimensionless."""
         return math.exp(min(self.fast - self.slow, 100.0))
 
     @property
@@ -88,7 +88,7 @@ class Budget:
             raise InputError("The steps or minutes of a training must be above 0.")
 
     def without(self, seconds: float) -> Budget:
-        """Budget that leaves time for something else, at least half of its own.
+        """Budget reduced by time for other work, but at least half of this one.
 
         Args:
             seconds: wall time of that [s].
@@ -101,7 +101,7 @@ class Budget:
         """Fraction of the budget that is used up.
 
         Args:
-            steps: optimiser steps taken.
+            steps: number of optimiser steps so far.
             seconds: wall time spent [s].
         """
         by_steps = steps / self.steps if self.steps else 0.0
@@ -113,13 +113,13 @@ class Counters:
     """Progress of a training, besides its weights. Every random draw follows from the number of the window.
 
     Args:
-        step: optimiser steps taken.
-        window: windows drawn, those of the statistics included.
+        step: number of optimiser steps so far.
+        window: number of windows drawn, including those for the statistics.
         seconds: wall time spent [s].
         rate_factor: factor on the learning rate, lowered by each rollback.
         rollbacks: number of rollbacks.
         best: score of the best weights.
-        flat: validations since the best one.
+        flat: number of validations since the best one.
         validated: step of the last validation.
         guard: averages of the energies of late.
     """
@@ -155,4 +155,4 @@ class Counters:
                 best = None  # of earlier versions, by energy: nothing of now is compared with it
             return Counters(**values, guard=guard, best=None if best is None else Score(**best))
         except (KeyError, TypeError) as error:
-            raise InputError(f"The checkpoint does not say how far the training was: {error}.") from error
+            raise InputError(f"The checkpoint does not say how far the training had come: {error}.") from error

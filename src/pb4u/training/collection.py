@@ -30,7 +30,8 @@ _OTHER_RECORDINGS = (".pkl", ".npz", ".bvh")
 def collect(
     selection: DataSelection, recordings: Path | None = None, seed: int = 0, progress: Progress = no_progress
 ) -> TrainingData:
-    """Training data that `selection` describes; garments of files are worn by the first body, which they were made for.
+    """Training data that `selection` describes; garments from files are worn by the first body, for which they must be
+    made.
 
     Args:
         selection: garments, bodies and motions.
@@ -72,7 +73,7 @@ def _bodies(selection: DataSelection, rng: np.random.Generator) -> list[ShapedBo
     """Bodies of as many shapes as are asked for, taken in turn; the first of each is its default."""
     unknown = sorted(set(selection.bodies) - set(body_names()))
     if unknown:
-        raise InputError(f"Training is on built-in bodies, {', '.join(body_names())}; {unknown[0]!r} is none.")
+        raise InputError(f"Training takes built-in bodies only, {', '.join(body_names())}, not {unknown[0]!r}.")
     bodies = []
     for i in range(selection.shapes):
         name = selection.bodies[i % len(selection.bodies)]
@@ -138,7 +139,10 @@ def _recorded(folder: Path) -> dict[str, list[Motion]]:
     others = [file for file in files if not _is_shape(file)]
     if len(others) < len(files):
         words = "files hold" if len(files) - len(others) > 1 else "file holds"
-        warn(f"{len(files) - len(others)} {words} no poses, as AMASS's shapes, and stay out of the training.")
+        warn(
+            f"{len(files) - len(others)} {words} no poses, like the shape files of AMASS, and are not used in the "
+            "training."
+        )
     for trial, split in trials.items():
         file = folder / trial.split("_")[0] / f"{trial}.amc"
         if file.is_file():

@@ -25,18 +25,18 @@ class DataSelection:
     """Selection of the garments, bodies and motions to train on.
 
     Args:
-        garments: names of built-in garments, "cape" for one that hangs from pins, and files of your own that fit the
-            first body.
+        garments: names of built-in garments, "cape" for a cape held by pins, and files of your own that fit the first
+            body.
         triangles: triangle counts of each.
         bodies: names of built-in bodies.
-        shapes: number of body shapes, the first of each body its default and the others drawn.
-        motions: names of built-in motions; none for recordings alone.
+        shapes: number of shapes of each body; the first is its default, the others are random.
+        motions: names of built-in motions; none to use only recordings.
         clips: clips for each body shape, drawn from the built-in motions and their seeds, besides the recordings.
         clip_frames: length of a built-in clip [frames].
         fps: frames per second [1/s].
-        drawn_shapes: lowest and highest value of each parameter of a drawn shape, of 0 to 1.
-        varied: share of garments whose cut is drawn.
-        uneven: share of garments whose edges are halved in a part of them.
+        drawn_shapes: lowest and highest value of each parameter of a random shape, within 0 to 1.
+        varied: share of garments with a random cut.
+        uneven: share of garments with half the edge length in one region.
 
     Raises:
         InputError: an empty selection or a number out of range.
@@ -64,12 +64,12 @@ class DataSelection:
         if not 0.0 <= self.drawn_shapes[0] <= self.drawn_shapes[1] <= 1.0:
             raise InputError("data.drawn_shapes must be a lowest and a highest value from 0 to 1.")
         if not (0.0 <= self.varied <= 1.0 and 0.0 <= self.uneven <= 1.0):
-            raise InputError("data.varied and data.uneven are shares from 0 to 1.")
+            raise InputError("data.varied and data.uneven must be shares from 0 to 1.")
 
 
 @dataclass(frozen=True)
 class MaterialSampling:
-    """Ranges that materials are drawn from (reference 1.7); bending and mu evenly in their logarithm.
+    """Ranges from which materials are drawn (reference 1.7), bending and mu uniformly in their logarithm.
 
     Args:
         density: lowest and highest [kg/m^2].
@@ -99,23 +99,23 @@ class TrainingConfiguration:
         network: network that is trained.
         data: garments, bodies and motions that it is trained on.
         curriculum: values that change over the budget.
-        material: ranges that cloth materials are drawn from.
+        material: ranges from which cloth materials are drawn.
         batch: windows trained on together, over all devices.
-        interleaved: windows stepped through in turn, so that neighbouring optimiser steps see different garments and
-            motions; 1 goes through a window before it begins the next, as the family does.
+        interleaved: number of windows that take turns, so that successive optimiser steps use different garments and
+            motions; 1 finishes a window before the next, as in the released codes.
         seed: seed of the weights and of every sample.
-        noise: standard deviation added to the positions, and to those a frame before, of a window's start [m].
+        noise: standard deviation of noise on the positions of a window's first two frames [m].
         clearance: distance to the body that start positions are pushed out to [m].
-        most_propagation_steps: K is drawn from 1 to this at every step; 0 leaves it to the resolution.
-        after_settling: velocity after the settling step: "skinned"; "slowed", half to all of that, so that bodies that
-            set off are seen; "zero"; or "carried" as the family's code has it.
+        most_propagation_steps: K is drawn from 1 to this number at every step; 0 computes it from the resolution.
+        after_settling: velocity after the settling step: "skinned"; "slowed", half to all of that, so that the data
+            contain bodies that start to move; "zero"; or "carried" as in the released code.
         loss_weight: "joule", or "progress": relative to the energy decrease of the pass.
         inside_weight: weight of a second collision term in the loss, which begins at the skin [J/m^3]; 0 for none.
-        statistics_windows: windows whose statistics normalise the features.
-        gradient_norm: largest norm of the gradient, of the unit of the loss; longer ones are scaled down to it.
+        statistics_windows: number of windows for the statistics that normalise the features.
+        gradient_norm: largest norm of the gradient, in the unit of the loss; larger gradients are scaled down to it.
         ema_decay: decay of the averaged weights a step; the averaged weights are the result of a training.
         log_every: optimiser steps between lines.
-        checkpoint_every: optimiser steps between checkpoints, which are made once the windows begun have ended.
+        checkpoint_every: optimiser steps between checkpoints, which are written when all windows of a round have ended.
         validate_every: optimiser steps between validations, likewise.
         validation_clips: clips rolled out by a validation.
         validation_frames: frames of each.
@@ -156,13 +156,13 @@ class TrainingConfiguration:
             if getattr(self, name) < 0:
                 raise InputError(f"{name} must not be below 0, but is {getattr(self, name)}.")
         if self.after_settling not in AFTER_SETTLING:
-            raise InputError(f"after_settling is one of {', '.join(AFTER_SETTLING)}, not {self.after_settling!r}.")
+            raise InputError(f"after_settling must be one of {', '.join(AFTER_SETTLING)}, not {self.after_settling!r}.")
         if self.loss_weight not in LOSS_WEIGHTS:
-            raise InputError(f"loss_weight is one of {', '.join(LOSS_WEIGHTS)}, not {self.loss_weight!r}.")
+            raise InputError(f"loss_weight must be one of {', '.join(LOSS_WEIGHTS)}, not {self.loss_weight!r}.")
         if self.validation_clips < 1 or self.validation_frames < 2:
             raise InputError("A validation needs 1 clip or more of 2 frames or more.")
         if not (self.gradient_norm > 0 and 0.0 <= self.ema_decay < 1.0):
-            raise InputError("gradient_norm must be above 0 and ema_decay from 0 up to, not including, 1.")
+            raise InputError("gradient_norm must be above 0, and ema_decay at least 0 and below 1.")
 
 
 class TrainingPreset(NamedTuple):
@@ -170,7 +170,7 @@ class TrainingPreset(NamedTuple):
 
     Args:
         configuration: its configuration.
-        steps: optimiser steps where neither steps nor minutes are asked for.
+        steps: optimiser steps if neither steps nor minutes are given.
     """
 
     configuration: TrainingConfiguration
@@ -201,7 +201,7 @@ def training_from_json(record: Any) -> TrainingConfiguration:
         record: what `training_to_json` wrote.
 
     Raises:
-        InputError: it is no configuration of a training.
+        InputError: it is not a configuration of a training.
     """
     try:
         values = dict(record)
@@ -218,11 +218,11 @@ def with_settings(configuration: TrainingConfiguration, settings: Sequence[str])
 
     Args:
         configuration: to be changed.
-        settings: such as batch=2 or curriculum.learning_rate=1e-3; network=NAME takes a network preset whole, and
-            network.scaling=NAME a rule of update scaling.
+        settings: such as batch=2 or curriculum.learning_rate=1e-3; network=NAME replaces the network by a preset, and
+            network.scaling=NAME the rule of update scaling.
 
     Raises:
-        InputError: an unknown key, with those near it, or a value of another type.
+        InputError: an unknown key (the message lists similar ones), or a value of another type.
     """
     for setting in settings:
         key, equals, text = setting.partition("=")
@@ -240,7 +240,9 @@ def with_settings(configuration: TrainingConfiguration, settings: Sequence[str])
 
 def _rescaled(network: NetworkConfiguration, name: str) -> NetworkConfiguration:
     if not isinstance(network, Pb4uConfiguration):
-        raise InputError("network.scaling is set for Pb4U-GNet's family alone; this network has no update scaling.")
+        raise InputError(
+            "network.scaling exists only for networks of Pb4U-GNet's family; this network has no update scaling."
+        )
     refuse_unknown("scaling", [name], SCALINGS)
     return replace(network, scaling=with_scaling(network.scaling, name))
 
@@ -288,7 +290,7 @@ def _parsed(key: str, present: Any, text: str) -> Any:
         return float(value)
     elif type(value) is type(present):
         return value
-    raise InputError(f"{key} is {present!r} by default; {text!r} is of another kind.")
+    raise InputError(f"{key} is {present!r} by default; {text!r} is of another type.")
 
 
 def _fits(value: Any, types: set[type]) -> bool:

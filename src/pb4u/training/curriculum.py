@@ -25,7 +25,8 @@ class Curriculum:
         halvings: number of times that the rate halves over the budget, in equal stages.
         rate_floor: fraction of the rate that is added throughout.
         warm_up: fraction of the budget over which the rate rises from 0 to its value.
-        settling_share: share of windows that begin with a settling step while windows are one step long; later all do.
+        settling_share: share of windows that begin with a settling step while windows have one step; longer windows all
+            do.
 
     Raises:
         InputError: stages that do not rise from 0, or a value out of range.

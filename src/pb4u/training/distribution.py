@@ -37,11 +37,11 @@ class Workers:
 
     @property
     def leads(self) -> bool:
-        """Whether this process is the one that writes files and reports."""
+        """Whether this process writes files and reports."""
         return self.rank == 0
 
     def share(self, batch: int) -> slice:
-        """Samples of a `batch` that fall to this process.
+        """Samples of a `batch` for this process.
 
         Args:
             batch: number of samples in all processes together.
@@ -92,7 +92,7 @@ class Workers:
         return self.total(float(flag)) > 0.0
 
     def total(self, value: float) -> float:
-        """Sum of `value` over processes, in its unit; nothing is copied where there is one.
+        """Sum of `value` over processes, in its unit; a single process copies nothing.
 
         Args:
             value: of this process.
@@ -125,8 +125,8 @@ def workers(device: str = "auto") -> Iterator[Workers]:
     """
     if device not in ("auto", "cpu", "cuda"):
         raise InputError(
-            f"The device is auto, cpu or cuda, not {device!r}; of several cards the first that CUDA_VISIBLE_DEVICES "
-            "lists is taken, and torchrun gives each process one."
+            f"The device must be auto, cpu or cuda, not {device!r}; of several cards the first in "
+            "CUDA_VISIBLE_DEVICES is used, and torchrun gives each process its own."
         )
     accelerated = available_device(device) == "cuda"
     count = int(os.environ.get("WORLD_SIZE", "1"))
@@ -136,8 +136,8 @@ def workers(device: str = "auto") -> Iterator[Workers]:
         place = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
         if place.index >= torch.cuda.device_count():
             raise InputError(
-                f"There are {torch.cuda.device_count()} cards here, and process {place.index + 1} of this machine "
-                "needs one too; start as many processes as there are cards, with --nproc-per-node."
+                f"There are {torch.cuda.device_count()} cards here and none is left for process {place.index + 1}; "
+                "start as many processes as there are cards, with --nproc-per-node."
             )
         torch.cuda.set_device(place)
     if count > 1:

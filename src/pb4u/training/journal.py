@@ -23,7 +23,7 @@ class Reporter:
         """Report the progress of the training.
 
         Args:
-            step: optimiser steps taken.
+            step: number of optimiser steps so far.
             progress: fraction of the budget spent.
             seconds: wall time spent [s].
             means: mean of each term since the last report [J], with their "total" and "median".
@@ -33,7 +33,7 @@ class Reporter:
         """Report a validation.
 
         Args:
-            step: optimiser steps taken.
+            step: number of optimiser steps so far.
             score: result of the validation.
             best: whether it is the best so far.
         """
@@ -82,7 +82,7 @@ class Journal:
 
     Args:
         reporter: shows every entry.
-        folder: keeps the entries as lines, or None.
+        folder: for the entries, one a line, or None.
         leads: whether this process writes them.
     """
 
@@ -110,7 +110,7 @@ class Journal:
         """Note the mean of the steps since the last line.
 
         Args:
-            step: optimiser steps taken.
+            step: number of optimiser steps so far.
             progress: fraction of the budget spent.
             seconds: wall time spent [s].
             window: length of the windows [steps].
@@ -129,7 +129,7 @@ class Journal:
         """Note a validation.
 
         Args:
-            step: optimiser steps taken.
+            step: number of optimiser steps so far.
             score: result of the validation.
             best: whether it is the best so far.
         """
@@ -138,7 +138,7 @@ class Journal:
         self.reporter.validated(step, score, best)
 
     def note(self, record: dict[str, Any]) -> None:
-        """Add a line to the metrics; on a full disk the line is lost and the training goes on.
+        """Add a line to the metrics; on a full disk the line is lost and the training continues.
 
         Args:
             record: plain JSON data.
@@ -160,7 +160,7 @@ class Journal:
 
 @contextmanager
 def reporter() -> Iterator[Reporter]:
-    """Reporter with a bar where standard error is a terminal; with sentences alone elsewhere."""
+    """Reporter with a bar if standard error is a terminal, otherwise with sentences."""
     if not sys.stderr.isatty():
         yield Reporter()
         return

@@ -15,11 +15,12 @@ from pb4u.training.distribution import Workers
 
 
 class MovingAverage:
-    """Moving average of weights, which varies less than the weights of one step; shorter in the first steps.
+    """Moving average of weights, which varies less than the weights of one step; over a shorter time in the first
+    steps.
 
     Args:
         module: module whose parameters are averaged.
-        decay: share of the average that a step keeps.
+        decay: share of the average that remains after a step.
     """
 
     def __init__(self, module: nn.Module, decay: float) -> None:
@@ -60,7 +61,7 @@ class Learner:
 
     Attributes:
         model: the network between its normalisers.
-        network: called in its place, so that gradients are averaged over processes.
+        network: called instead of the model, so that gradients are averaged over processes.
     """
 
     def __init__(self, configuration: TrainingConfiguration, workers: Workers) -> None:
@@ -74,7 +75,7 @@ class Learner:
         self.max_gradient_norm = configuration.gradient_norm
 
     def begin_with(self, weights: Mapping[str, Tensor]) -> None:
-        """Take over weights and statistics, each (...) as in the model, by name; the average begins with them too.
+        """Load weights and statistics, each (...) as in the model, by name; the average starts with them too.
 
         Args:
             weights: weights by name.
@@ -98,7 +99,7 @@ class Learner:
         Args:
             rate: learning rate.
             number: number of the step, from 1.
-            unless: () float32; where it is 1 and not 0, weights and moments stay as they are.
+            unless: () float32; if it is 1 and not 0, weights and moments do not change.
         """
         # As a gradient scaler names it: the step is skipped by the kernel, and no processor waits to decide.
         self.optimiser.found_inf = unless  # type: ignore[attr-defined]
@@ -109,7 +110,7 @@ class Learner:
 
     @contextmanager
     def averaged(self) -> Iterator[None]:
-        """Context in which the model has its averaged weights in the place of the latest ones."""
+        """Context in which the model has its averaged weights instead of the latest ones."""
         self.average.swap(self.model)
         try:
             yield
@@ -120,8 +121,8 @@ class Learner:
         """Copies of weights, statistics, averaged weights and moments, each (...) and its unit as in the model.
 
         Args:
-            exact: keep moments as they are; otherwise they are rounded to bfloat16: it has the range of float32, and 8
-                bits of a mean gradient, and of the root of a mean square, are precise enough.
+            exact: keep moments in full precision; otherwise they are rounded to bfloat16: it has the range of float32,
+                and 8 bits of a mean gradient, and of the root of a mean square, are precise enough.
         """
         tensors = {f"model/{name}": value.clone() for name, value in self.model.state_dict().items()}
         tensors |= {f"average/{name}": value.clone() for name, value in self.average.values.items()}
@@ -142,7 +143,7 @@ class Learner:
         """Restore the state that `state` gave.
 
         Args:
-            tensors: (...) each as in the model, by name, in the unit of what it is a copy of.
+            tensors: (...) each as in the model, by name, in the unit of the original.
 
         Raises:
             InputError: they are of another network.

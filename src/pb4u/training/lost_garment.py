@@ -20,9 +20,9 @@ class GarmentWatch:
     """Sees step by step whether garments are lost.
 
     Attributes:
-        sunk: () steps on end at whose end they had sunk in.
-        lost: () bool whether they were found lost.
-        seen_lost: whether the processor knows of it.
+        sunk: () number of successive steps after which they were inside the body.
+        lost: () bool whether they are lost.
+        seen_lost: whether the processor has read this.
     """
 
     def __init__(self) -> None:

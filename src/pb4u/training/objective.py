@@ -25,11 +25,11 @@ matter."""
 
 @dataclass(frozen=True)
 class Inside(Collision):
-    """A second collision term that begins at the skin, for the loss alone.
+    """A second collision term that begins at the skin, used only in the loss.
 
-    Cloth that rests lies above the skin, where collisions have to weigh what they do in a simulation: a network that
-    learns with heavier ones leaves everything hovering, with too little pressure for friction to hold it. Inside the
-    skin that weight is too little to keep cloth from learning to sink.
+    Resting cloth lies above the skin, where collisions need the weight that they have in a simulation: a network
+    trained with a larger weight leaves cloth hovering, with too little pressure for friction to hold it. Inside the
+    skin that weight is too small: the network would learn to let cloth sink in.
     """
 
     clearance: float = 0.0
@@ -48,10 +48,10 @@ def step_energies(step: TimeStep, positions: Tensor, collision_weight: float, in
     """Energies of a step for each garment; differentiable.
 
     Args:
-        step: time step that was taken.
+        step: the time step.
         positions: (vertices, 3) [m] at its end.
         collision_weight: weight of the collision term [J/m^3].
-        inside_weight: weight of the term for what is inside the skin [J/m^3]; 0 for none.
+        inside_weight: weight of the term for vertices inside the skin [J/m^3]; 0 for none.
     """
     potential = LOSS_POTENTIAL.with_term(Collision(weight=collision_weight))
     if inside_weight:
@@ -74,7 +74,7 @@ def further_losses(prepared: PreparedGarments, step: TimeStep, positions: Tensor
 
     Args:
         prepared: the garments.
-        step: time step that was taken.
+        step: the time step.
         positions: (vertices, 3) [m] at its end.
         progress: fraction of the training's budget spent.
     """
@@ -87,8 +87,8 @@ def progress_weights(garments: PackedGarments, decrease: Tensor | None) -> Tenso
 
     Where a pass lowers the energy by much more than what lifts the garment by `_LIFT`, descending this loss raises the
     logarithm of that decrease, of the terms that its search knows: it asks for the best direction alike far from the
-    minimum and near it, in silk and in leather. It is no logarithm elsewhere: a pass that raises the energy counts as
-    one that leaves it as it is, with the greatest weight of all. Only passes that are joined (`conjugate_move`) know
+    minimum and near it, in silk and in leather. It differs from a logarithm elsewhere: a pass that raises the energy
+    gets the same, largest weight as one that does not change it. Only passes that are joined (`conjugate_move`) know
     their decrease.
 
     Args:

@@ -34,22 +34,22 @@ class Outcome:
     watch: GarmentWatch | None
 
     def changes_nothing(self) -> Tensor:
-        """1 () float32 where the weights are to stay as they are, else 0."""
+        """1 () float32 if the weights must not change, else 0."""
         return ((self.values[-3:] > 0.0).any() | ~torch.isfinite(self.values).all()).to(torch.float32)
 
     def finite(self, row: list[float]) -> bool:
         """Whether the step with the values `row` is finite.
 
         Args:
-            row: values of the step, as they were collected.
+            row: collected values of the step.
         """
         return row[-1] == 0.0 and all(math.isfinite(value) for value in row)
 
     def skipped(self, row: list[float]) -> bool:
-        """Whether the step with the values `row` was left out; notes for its window where garments are lost.
+        """Whether the step with the values `row` was skipped; records lost garments of its window.
 
         Args:
-            row: values of the step, as they were collected.
+            row: collected values of the step.
         """
         if self.watch is not None and row[-2] > 0.0:
             self.watch.seen_lost = True
@@ -59,12 +59,12 @@ class Outcome:
 def note_outcomes(
     outcomes: Sequence[Outcome], capacities: Capacities | None, counters: Counters, journal: Journal
 ) -> bool:
-    """Look at the outcomes of steps, and note those that count; False where one is not finite.
+    """Read the outcomes of steps, and record the valid ones; False if one is not finite.
 
     Args:
-        outcomes: of the latest steps, in their order; one at least.
-        capacities: of the searches on an accelerator, which are made wider where one was short; None on a processor.
-        counters: where the training stands, all these steps counted; those that were left out are taken off.
+        outcomes: of the latest steps, in order; at least one.
+        capacities: array sizes of the searches on an accelerator, enlarged if one was too small; None on a processor.
+        counters: progress of the training including these steps; skipped ones are subtracted.
         journal: log of the losses.
     """
     seen = torch.stack([outcome.values for outcome in outcomes])

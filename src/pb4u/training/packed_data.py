@@ -48,7 +48,7 @@ class PosedClip:
         name: name of the motion, with its seed.
         split: "train" or "validation".
         body: index of the body.
-        poses: poses rounded by `rounded_poses`, so that a pack holds them exactly.
+        poses: poses rounded by `rounded_poses`, so that a pack stores them exactly.
     """
 
     name: str
@@ -59,12 +59,12 @@ class PosedClip:
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """Everything that training samples are made of.
+    """All data from which training samples are made.
 
     Args:
         bodies: bodies at rest.
         outfits: garments that they wear.
-        clips: poses that they take.
+        clips: poses of the bodies.
 
     Raises:
         InputError: a body has no garment or no motion, or where a body's poses correct its surface.
@@ -77,7 +77,7 @@ class TrainingData:
     def __post_init__(self) -> None:
         for index, body in enumerate(self.bodies):
             if body.pose_offsets is not None:
-                raise InputError(f"{body.name} has correctives of its surface; train on bodies that are skinned alone.")
+                raise InputError(f"{body.name} has corrective shapes; train on bodies without them.")
             wears = any(outfit.body == index for outfit in self.outfits)
             if not wears or not any(clip.body == index and clip.split == "train" for clip in self.clips):
                 raise InputError(f"Body {index} ({body.name}) has no garment or no motion to train on.")
@@ -199,7 +199,7 @@ def load_training_data(path: Path | str) -> TrainingData:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"There is no training pack {path}; write one with `pb4u assets pack`.")
-    with refusing(path, "is no whole training pack; write it again with `pb4u assets pack`"):
+    with refusing(path, "is not a complete training pack; write it again with `pb4u assets pack`"):
         arrays = read_arrays(path)
         header = parse_json(str(arrays["header"]))
         if header["format_version"] > FORMAT_VERSION:

@@ -19,7 +19,7 @@ MOST_ROLLBACKS = 8
 
 
 class TrainingFailedError(Pb4uError):
-    """A training whose energies explode again and again, however low its learning rate."""
+    """A training whose energies explode repeatedly in spite of lower learning rates."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Snapshot:
 
 
 class Recovery:
-    """Keeps the last good state of a training in memory, and in its folder.
+    """Stores the last good state of a training in memory, and in its folder.
 
     Args:
         learner: model in training.
@@ -55,10 +55,10 @@ class Recovery:
         self.saved = self.snapshot(Counters())
 
     def snapshot(self, counters: Counters) -> Snapshot:
-        """Snapshot of the training as it is now, with `counters`.
+        """Snapshot of the present state of the training, with `counters`.
 
         Args:
-            counters: where the training stands.
+            counters: progress of the training.
         """
         return Snapshot(self.learner.state(), counters.to_json())
 
@@ -66,7 +66,7 @@ class Recovery:
         """Keep a snapshot of the training as the last good one.
 
         Args:
-            counters: where the training stands.
+            counters: progress of the training.
         """
         self.saved = self.snapshot(counters)
 
@@ -84,7 +84,7 @@ class Recovery:
         """Return to the last good weights at half the rate, and go on with other samples.
 
         Args:
-            counters: where the training stands.
+            counters: progress of the training.
 
         Raises:
             TrainingFailedError: the training has gone back too often.
@@ -100,12 +100,12 @@ class Recovery:
         self.learner.restore(self.saved.tensors)
         self.journal.note({"step": at, "rollback": back, "rate_factor": lower.rate_factor})
         self.journal.say(
-            f"Step {at}: the training was coming apart; back to the weights of step {back} ({at - back} steps "
+            f"Step {at}: the training was diverging; it returns to the weights of step {back} ({at - back} steps "
             f"lost), at {lower.rate_factor:g} times the learning rate."
         )
         if lower.rollbacks > MOST_ROLLBACKS:
             raise TrainingFailedError(
-                f"The training came apart {lower.rollbacks} times by step {at}; start it with a lower "
+                f"The training diverged {lower.rollbacks} times by step {at}; start it with a lower "
                 "curriculum.learning_rate."
             )
         return lower
@@ -113,12 +113,11 @@ class Recovery:
     def checkpoint(self, counters: Counters, exact: bool = False, insist: bool = False) -> None:
         """Save everything that is needed to resume.
 
-        The training itself goes on from the saved values, rounding included, so that it and a resumed one stay the
-        same.
+        The training itself continues from the saved, rounded values, so that it and a resumed training stay equal.
 
         Args:
             counters: progress of the training.
-            exact: keep moments unrounded.
+            exact: store moments unrounded.
             insist: raise NotSavedError on a full disk; without it, that only costs the checkpoint.
         """
         tensors = self.learner.state(exact)
@@ -128,7 +127,9 @@ class Recovery:
             except NotSavedError as error:
                 if insist:
                     raise
-                self.journal.say(f"{error} The training goes on; the last whole checkpoint is of {self.saved.step}.")
+                self.journal.say(
+                    f"{error} The training goes on; the last complete checkpoint is of step {self.saved.step}."
+                )
         self.learner.restore(tensors)
         self.saved = Snapshot(tensors, counters.to_json())
 

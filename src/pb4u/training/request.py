@@ -12,20 +12,20 @@ from pb4u.options import Flag, require_fitting
 
 @dataclass(frozen=True)
 class TrainingRequest:
-    """What is trained, on what and for how long.
+    """Options of a training.
 
     Args:
-        preset: Which training: small (two cores, the default), wide (goes on with small by --weights), literal (the
+        preset: Which training: small (two cores, the default), wide (continues small by --weights), literal (the
             paper's network and schedule), literal_small (the same, 64 wide with 4 blocks),
-            paper (the paper's size and schedule with inputs of ours), comparison (half an hour), smoke (seconds).
-        steps: Optimiser steps in all, those before --resume included. Default: the preset's own number.
+            paper (the paper's size and schedule with our inputs), comparison (half an hour), smoke (seconds).
+        steps: Total number of optimiser steps, including those before --resume. Default: the preset's own number.
         minutes: Minutes of training in all, beyond the making of its data; instead of steps, or besides.
-        out: New folder to keep the training in; this or --resume is needed.
-        resume: Folder of a training to go on with, instead of --out.
+        out: New folder for the training; this or --resume is required.
+        resume: Folder of a training to continue, instead of --out.
         pack: Training data that `pb4u assets pack` wrote; default: made from the preset.
         recordings: Folder of recordings to train on as well: CMU's as SUBJECT/TRIAL.amc beside SUBJECT.asf, VTO's .pkl,
             AMASS's .npz, .bvh.
-        weights: Begin with these weights and their network, as in --preset wide; --set network=NAME may differ from it
+        weights: Start from these weights and their network, as in --preset wide; --set network=NAME may differ from it
             in control and scaling. Default: drawn.
         set: Replace a field of the preset, as in network.width=64. Repeatable.
         device: auto, cpu or cuda.

@@ -32,7 +32,7 @@ LAST, BEST, FINAL, CURVE = "last.safetensors", "best.safetensors", "final.safete
 
 
 class NotSavedError(InputError):
-    """A file of a training could not be written; the one before is still whole."""
+    """A file of a training could not be written; the previous version is still complete."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,11 @@ class RunFolder:
         """
         folder = RunFolder(Path(path))
         if (folder.path / CONFIGURATION).is_file():
-            raise InputError(f"{path} already holds a training; go on with --resume {path}, or give another folder.")
+            raise InputError(
+                f"{path} already holds a training; continue it with --resume {path}, or give another folder."
+            )
         if folder.path.exists() and (not folder.path.is_dir() or any(folder.path.iterdir())):
-            raise InputError(f"{path} exists and is no empty folder; give another one for the training.")
+            raise InputError(f"{path} exists and is not an empty folder; give another one for the training.")
 
     @staticmethod
     def create(path: Path | str, configuration: dict[str, Any]) -> RunFolder:
@@ -67,7 +69,7 @@ class RunFolder:
             configuration: plain JSON data.
 
         Raises:
-            InputError: something else is in it, or it cannot be made.
+            InputError: it has other content, or cannot be created.
         """
         RunFolder.require_free(path)
         folder = RunFolder(Path(path))
@@ -83,10 +85,10 @@ class RunFolder:
             self.path.rmdir()
 
     def held(self) -> AbstractContextManager:
-        """Keep other processes from training in the folder.
+        """Lock the folder against other trainings.
 
         Raises:
-            InputError: another process trains in it.
+            InputError: another process is training in the folder.
         """
         with on_disk(f"Cannot use the folder {self.path}"):
             return locked(
@@ -102,11 +104,11 @@ class RunFolder:
             path: of the folder.
 
         Raises:
-            InputError: it is no folder of a training.
+            InputError: it is not a folder of a training.
         """
         folder = RunFolder(Path(path))
         if not (folder.path / CONFIGURATION).is_file():
-            raise InputError(f"{path} is no folder of a training: it has no {CONFIGURATION}.")
+            raise InputError(f"{path} is not a folder of a training: it has no {CONFIGURATION}.")
         return folder
 
     def configure(self, configuration: dict[str, Any]) -> None:
@@ -166,7 +168,7 @@ class RunFolder:
         """Tensors (...) by name and counters of the last checkpoint, in their unit; None where there is none yet.
 
         Raises:
-            InputError: a file that is no checkpoint.
+            InputError: a file that is not a checkpoint.
         """
         path = self.path / LAST
         if not path.is_file():
@@ -177,7 +179,7 @@ class RunFolder:
                 counters = parse_json(metadata["counters"])
                 return {key: file.get_tensor(key) for key in file.keys()}, counters  # noqa: SIM118
         except (SafetensorError, OSError, KeyError, ValueError) as error:
-            raise InputError(f"{path} is no checkpoint of a training ({error_text(error)}).") from error
+            raise InputError(f"{path} is not a checkpoint of a training ({error_text(error)}).") from error
 
     def append_metrics(self, record: dict[str, Any]) -> None:
         """Add a line to the metrics.
@@ -193,11 +195,11 @@ class RunFolder:
             out.write(json.dumps(record) + "\n")
 
     def metrics(self) -> list[dict[str, Any]]:
-        """Lines of the metrics, those cut short left out."""
+        """Lines of the metrics, without incomplete ones."""
         lines = []
         with contextlib.suppress(FileNotFoundError), (self.path / METRICS).open("rb") as stream:
             for line in stream:
-                # One that a kill cut in two is no JSON, or no text.
+                # One that a kill cut in two is not JSON, or no text.
                 with contextlib.suppress(ValueError):
                     record = parse_json(line)
                     if isinstance(record, dict):
@@ -205,10 +207,10 @@ class RunFolder:
         return lines
 
     def forget_metrics_after(self, step: int) -> None:
-        """Delete the lines of the metrics after a `step`, which will be taken again.
+        """Delete the lines of the metrics after a `step`, since later steps will be repeated.
 
         Args:
-            step: last step whose lines stay.
+            step: last step whose lines are kept.
         """
         lines = [line for line in self.metrics() if line.get("step", 0) <= step]
         self._replace(METRICS, "".join(json.dumps(line) + "\n" for line in lines).encode())

@@ -54,12 +54,12 @@ def train(request: TrainingRequest) -> dict[str, Any]:
         InputError: something of the request cannot be done.
     """
     if (request.resume is None) == (request.out is None):
-        raise InputError("Give --out FOLDER for a new training, or --resume FOLDER to go on with one.")
+        raise InputError("Give --out FOLDER for a new training, or --resume FOLDER to continue one.")
     if request.resume is not None and (
         request.preset or request.set or request.pack or request.recordings or request.weights
     ):
         raise InputError(
-            "A training goes on as it began: leave out --preset, --set, --pack, --recordings and --weights."
+            "A resumed training keeps its settings: leave out --preset, --set, --pack, --recordings and --weights."
         )
     begun = None if request.resume is not None else _configured(request)
     with workers(request.device) as mine:
@@ -84,9 +84,11 @@ def train(request: TrainingRequest) -> dict[str, Any]:
 def _refuse_other_data(request: TrainingRequest) -> None:
     """Refuse a choice of data beside a pack, which holds its own."""
     if request.recordings is not None:
-        raise InputError("A pack holds its recordings: leave out --recordings, or give it to `pb4u assets pack`.")
+        raise InputError(
+            "A pack already contains its recordings: leave out --recordings, or give it to `pb4u assets pack`."
+        )
     if chosen := [setting for setting in request.set if setting.startswith("data.")]:
-        warn(f"The pack holds its data already: --set {chosen[0]} does nothing here, but to `pb4u assets pack`.")
+        warn(f"The pack already contains its data: --set {chosen[0]} has no effect here, only with `pb4u assets pack`.")
 
 
 def _configured(request: TrainingRequest) -> tuple[TrainingConfiguration, Budget]:
@@ -101,13 +103,13 @@ def _configured(request: TrainingRequest) -> tuple[TrainingConfiguration, Budget
         _refuse_another_network(begun, configuration.network)
     if configuration.loss_weight == PROGRESS and not configuration.network.conjugate:
         raise InputError(
-            "loss_weight=progress goes by what the search of conjugate passes frees: add --set network.conjugate=True "
-            "(and --set network.descent_size=0.03, which it was made for), or --set loss_weight=joule."
+            "loss_weight=progress needs the line search of conjugate passes: add --set network.conjugate=True (and "
+            "--set network.descent_size=0.03, which it was designed for), or --set loss_weight=joule."
         )
     if configuration.most_propagation_steps and isinstance(getattr(configuration.network, "control", None), FixedSteps):
         raise InputError(
-            "The network takes a fixed number of propagation steps, but most_propagation_steps draws another at every "
-            "step of training: add --set most_propagation_steps=0, or take a network with propagation control."
+            "The network takes a fixed number of propagation steps, but most_propagation_steps draws a new number at "
+            "every training step: add --set most_propagation_steps=0, or use a network with propagation control."
         )
     steps = request.steps
     if steps is None and request.minutes is None:
@@ -121,7 +123,7 @@ def _refuse_another_network(begun: NetworkConfiguration, config: NetworkConfigur
     names = {field.name for field in fields(kind)}
     if type(config) is not kind or any(getattr(begun, n) != getattr(config, n) for n in names - WITHOUT_WEIGHTS):
         free = " and ".join(sorted(names & WITHOUT_WEIGHTS))
-        raise InputError(f"--weights bring their own network: --set can change its {free} alone.")
+        raise InputError(f"--weights bring their own network: --set can change only its {free}.")
 
 
 def _created(
@@ -196,8 +198,8 @@ def _make_again(folder: RunFolder, configuration: TrainingConfiguration, record:
     """The data of a run that was left before it was written, or that travelled without it."""
     if record.get("data") != BUILT_IN:
         raise InputError(
-            f"{folder.path} has lost its data, which came from a pack or recordings; "
-            "train from these into a new folder."
+            f"{folder.path} has lost its data, which came from a pack or recordings; start a new training from these "
+            "in a new folder."
         )
     save_training_data(_collected(configuration, None), folder.data)
 
@@ -209,7 +211,7 @@ def _licence(record: dict[str, Any], configuration: TrainingConfiguration) -> st
     own_garments = any(Path(name).suffix for name in configuration.data.garments)
     if (record.get("data") == BUILT_IN and not own_garments) or begun.startswith("unknown"):
         return begun
-    return UNKNOWN_LICENCE if begun == FREE_LICENCE else f"{UNKNOWN_LICENCE}; it began with weights under {begun}"
+    return UNKNOWN_LICENCE if begun == FREE_LICENCE else f"{UNKNOWN_LICENCE}; it started from weights under {begun}"
 
 
 def _restore(trainer: Trainer, folder: RunFolder) -> None:
@@ -255,7 +257,7 @@ class _Silent(Reporter):
 
 @contextmanager
 def stop_signals() -> Iterator[Callable[[], bool]]:
-    """Function that says whether an interrupt or a request to end has come; a second interrupt has its usual effect."""
+    """Function that tells whether an interrupt or SIGTERM has arrived; a second interrupt has its usual effect."""
     signals: list[int] = []
 
     def ask(number: int, _: FrameType | None) -> None:

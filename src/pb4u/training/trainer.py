@@ -67,11 +67,11 @@ class Trainer:
     Args:
         configuration: everything that decides it.
         budget: when it ends.
-        data: what it is trained on.
+        data: the training data.
         workers: this process and the others.
-        folder: where it is kept, or None to keep nothing.
+        folder: for the training, or None to save nothing.
         reporter: shows progress.
-        stopping: asked every few steps whether to end early.
+        stopping: called every few steps; true ends the training early.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class Trainer:
                 rest = self.budget.steps - self.counters.step
                 if rest * pace > _WORTH_SAYING:
                     time_left = format_duration(rest * pace)
-                    self.journal.say(f"A step takes {pace:.2g} s; the {rest:,} that are left take about {time_left}.")
+                    self.journal.say(f"A step takes {pace:.2g} s; the remaining {rest:,} take about {time_left}.")
             if end is RoundEnd.CAME_APART:
                 self.counters = self.recovery.roll_back(self.counters)
                 continue
@@ -189,8 +189,7 @@ class Trainer:
         return self.counters.step // every > before // every
 
     def begin_with(self, checkpoint: Checkpoint) -> None:
-        """Begin with weights of an earlier training, and the statistics that they go with; the optimiser starts from
-        scratch.
+        """Start from weights of an earlier training and their statistics; the optimiser starts from scratch.
 
         Args:
             checkpoint: weights of a network of this configuration.
@@ -219,7 +218,7 @@ class Trainer:
         Args:
             number: of the window.
             length: steps.
-            settle: whether it begins with a settling step; drawn by default.
+            settle: whether it begins with a settling step; random by default.
         """
         indices = self._indices(number)
         window = self.loader.load([self.sampler.sample(index, length) for index in indices], length)
@@ -237,7 +236,7 @@ class Trainer:
     def train_round(self) -> RoundEnd:
         """Step through some windows in turn, an optimiser step after each pass of each step.
 
-        A window whose garment is lost leaves the round: nothing that follows would be worth learning.
+        A window whose garment is lost leaves the round, since its later steps are useless for training.
         """
         length = self.configuration.curriculum.window_length(self.progress)
         together, network = self.configuration.interleaved, self.configuration.network
@@ -260,10 +259,10 @@ class Trainer:
         return RoundEnd.LEARNT if self.look_at_outcomes() else RoundEnd.CAME_APART
 
     def advance(self, rollout: Rollout) -> bool:
-        """Learn from the next step of a window, and take it; whether all went well.
+        """Learn from the next step of a window, and take the step; returns whether its values were finite.
 
         Args:
-            rollout: the window, and how far it has come; changed.
+            rollout: the window and its present step; changed.
         """
         taken = rollout.window.length - rollout.steps_left
         steps = [
@@ -320,12 +319,12 @@ class Trainer:
     ) -> bool:
         """One optimiser step on the energies of `step`; False where they or their gradient are not finite.
 
-        On an accelerator what a step gave is looked at with each line of the log; the weights stay as they are in a
-        step that is not finite, of a garment that is lost, of a pass not worth its time or of a search short of room.
+        On an accelerator results of steps are read with each line of the log; the weights do not change in a step that
+        is not finite, of a lost garment, of a pass with too little gain or of a search with too small an array.
 
         Args:
-            prepared: what the network derived once from the garments.
-            step: that was taken.
+            prepared: data that the network computes once from the garments.
+            step: the time step.
             prediction: where it led, differentiable, and what its last pass was worth.
             watch: sees whether the garments are lost.
         """
@@ -360,7 +359,7 @@ class Trainer:
         return self.look_at_outcomes()
 
     def look_at_outcomes(self) -> bool:
-        """Note the outcomes of the steps since this was last called; False where one came apart."""
+        """Record the outcomes of the steps since the last call; False if one is not finite."""
         outcomes, self.outcomes, before = self.outcomes, [], self.counters.step - len(self.outcomes)
         if not outcomes:
             return True

@@ -23,7 +23,7 @@ def training_record(
     score: dict[str, Any],
     device: torch.device,
 ) -> TrainingRecord:
-    """Record of a training as far as it has come.
+    """Record of a training up to now.
 
     Args:
         configuration: everything that decides it.
@@ -31,7 +31,7 @@ def training_record(
         network: the network.
         counters: steps and seconds so far.
         score: of the last validation, as JSON data.
-        device: where it is trained.
+        device: of the training.
     """
     ruled = [network.propagation_steps(outfit.garment.mean_edge_length) for outfit in data.outfits]
     most = configuration.most_propagation_steps

@@ -46,13 +46,13 @@ class Score:
     """The outcome of a validation.
 
     Args:
-        survived: share of all frames that came before their garment was lost.
+        survived: share of all frames before the garment was lost.
         excess_height: geometric mean [m], over states of the solver on those clips, of the height to which the energy
-            that one step leaves above its minimum would lift the garment; infinite where a step is not finite, or no
-            solver is compiled.
+            above the minimum after one step would lift the garment; infinite if a step is not finite, or without
+            compiled solver.
         strain: mean of the 95th percentile strains of the frames that survived.
-        energy_without_gravity: geometric mean, over the clips, of their mean potential less gravity's [J]; reported
-            too, as cloth that floats has little of it.
+        energy_without_gravity: geometric mean, over the clips, of their mean potential less gravity's [J]; reported in
+            addition, since floating cloth has little of it.
     """
 
     survived: float
@@ -61,7 +61,7 @@ class Score:
     energy_without_gravity: float
 
     def beats(self, other: Score | None, margin: float = 0.0) -> bool:
-        """Whether this is better: more frames survived, or else less left of a step, or strained.
+        """Whether this is better: more frames survived, or else a lower excess height, or lower strain.
 
         Args:
             other: score to beat; None is beaten by any.
@@ -80,8 +80,8 @@ class Validation:
     """A fixed set of clips, spread over garments, levels and bodies.
 
     Args:
-        data: its "validation" clips are used, its training clips where it has none; clips of as many frames as are
-            asked for, or the longest there is.
+        data: its "validation" clips are used, or its training clips if it has none; clips of the requested number of
+            frames, or the longest.
         configuration: how many clips and frames.
         loader: lays them out.
     """
@@ -99,10 +99,10 @@ class Validation:
             clips = [i for i in clips if len(data.clips[i].poses) >= longest]
             self.samples.append(Sample(outfit, int(rng.choice(clips)), 0, MATERIALS["default"]))
             if not held_out:
-                self.notes.append("No clip is held out for validation: it is on clips that are trained on.")
+                self.notes.append("No clips are reserved for validation, so validation uses clips of the training.")
             if longest < self.most_frames:
                 self.notes.append(
-                    f"Validation is shorter than {self.most_frames} frames: no clip for it has more than {longest}."
+                    f"Validation is shorter than {self.most_frames} frames: its longest clip has {longest}."
                 )
         self.loader, self.clearance = loader, configuration.clearance
 
@@ -134,7 +134,7 @@ class Validation:
 
     @cached_property
     def references(self) -> tuple[Reference, ...]:
-        """Solver's first frames of every clip, with the states that a score takes steps from; made once."""
+        """Solver's first frames of every clip, with the states from which a score takes steps; computed once."""
         loader = WindowLoader(Wardrobe(self.loader.data, "cpu", torch.float64))
         return tuple(self._reference(loader, sample) for sample in self.samples)
 

@@ -31,7 +31,7 @@ _OPEN_FRONTS = 0.15
 
 
 def varied_garment(name: str, body: ShapedBody, triangles: int, rng: np.random.Generator) -> Garment:
-    """A built-in garment in a cut of its own; the standard cut where no draw can be worn.
+    """A built-in garment with a random cut; the standard cut if no draw can be worn.
 
     Args:
         name: built-in garment.
@@ -126,7 +126,7 @@ def cape(body: ShapedBody, triangles: int, rng: np.random.Generator) -> Garment:
 
 
 def uneven(garment: Garment, body: ShapedBody, rng: np.random.Generator) -> Garment:
-    """The garment with its edges halved in a part of it that is drawn, as artists refine where detail is wanted.
+    """The garment with half the edge length in a random region, as artists refine for detail.
 
     Args:
         garment: worn by the body at rest.
@@ -148,7 +148,7 @@ def before_refining(triangles: int) -> int:
     """Number of triangles of a garment that `uneven` then brings to about `triangles`.
 
     Args:
-        triangles: wanted in the end.
+        triangles: wanted number after refinement.
     """
     # A quarter of the surface in four times as many triangles.
     return max(FEWEST_TRIANGLES, round(triangles / 1.8))

@@ -82,7 +82,7 @@ class Wardrobe:
         return skin(*self._skin("outfit", outfit), transforms)
 
     def colliders(self, bodies: Sequence[int]) -> PackedColliders:
-        """Pack of bodies, each in a world of its own; the search structures of each are made once.
+        """Pack of bodies, each in a world of its own; the search structures of each are built once.
 
         Args:
             bodies: index of each body.
@@ -135,7 +135,7 @@ def _in_material(packed: PackedGarments, material: Material) -> PackedGarments:
 
 
 def joined(packs: Sequence[PackedGarments]) -> PackedGarments:
-    """Pack of several packs one after the other, the worlds of each apart from those of the others.
+    """Pack of several packs in sequence, each with its own worlds.
 
     Args:
         packs: packs of garments.

@@ -67,7 +67,7 @@ class Sampler:
         ]
 
     def sample(self, index: int, length: int) -> Sample:
-        """Sample that is drawn by its number.
+        """Sample of a number.
 
         Args:
             index: number of the sample.
@@ -83,7 +83,7 @@ class Sampler:
         return Sample(outfit, clip, start, material, float(rng.uniform(-np.pi, np.pi)), (*seed, 1))
 
     def settles(self, window: int, length: int) -> bool:
-        """Whether a window begins with the settling step: always one of several steps, else by `settling_share`.
+        """Whether a window begins with the settling step: always if it has several steps, else by `settling_share`.
 
         Args:
             window: number of the window, from 0.
@@ -108,7 +108,7 @@ class Sampler:
         Args:
             index: number of the sample.
             step: number of the step in its window, from 0.
-            ruled: K that the network's own rule gives, taken where `most_propagation_steps` is 0.
+            ruled: K by the network's own rule, used if `most_propagation_steps` is 0.
         """
         most = self.configuration.most_propagation_steps
         if most == 0:
@@ -140,10 +140,10 @@ def drawn_material(ranges: MaterialSampling, rng: np.random.Generator) -> Materi
 class Window:
     """Some frames of samples, each in a world of its own; frame r of the timeline is start - 1 + r of each sample.
 
-    Every body stands near the origin in frame 1, so that float32 is fine wherever its motion leads.
+    Every body is near the origin in frame 1, so that float32 is precise enough for its motion.
 
     Args:
-        samples: what is packed.
+        samples: to pack.
         timeline: their garments and bodies.
         length: steps of the window.
     """
@@ -153,10 +153,12 @@ class Window:
     length: int
 
     def start(self, noise: float, clearance: float) -> State:
-        """Skinned garments of frame 1, with noise on where they are and were, pushed out of the bodies by at most 2 cm.
+        """Skinned garments of frame 1, with noise on their present and previous positions, pushed out of the bodies by
+        at most 2 cm.
 
         Args:
-            noise: standard deviation of the positions, pins left out, and of those one frame before, independently [m].
+            noise: standard deviation of the noise on the positions, except pins, and independently on those one frame
+                before [m].
             clearance: distance to the bodies that vertices deeper than it are pushed out to [m].
         """
         garments, now, before = self.timeline.garments, self.timeline.skinned(1), self.timeline.skinned(0)
@@ -176,18 +178,18 @@ class Window:
 
 @dataclass
 class Rollout:
-    """A training window that is being stepped through: its state now and the steps left.
+    """A training window in progress: its present state and its remaining steps.
 
     Args:
         number: of the window.
         window: its garments and bodies.
         state: of the garments.
-        prepared: what the network derived once from the garments.
-        features: node features of them.
+        prepared: data that the network computes once from the garments.
+        features: node features of the garments.
         watch: sees whether they are lost.
-        settles: whether the next step is the settling one.
+        settles: whether the next step is the settling step.
         steps_left: steps to go.
-        last_move: what `take` would give with the state.
+        last_move: last move of the search, as from `take`.
     """
 
     number: int
@@ -220,10 +222,10 @@ class WindowLoader:
     def load(self, samples: Sequence[Sample], length: int) -> Window:
         """Window of the samples, each in a world of its own, from the frame before its start.
 
-        It holds `length` + 2 frames; beyond either end of a clip its first or last frame stands.
+        It holds `length` + 2 frames; beyond either end of a clip its first or last frame is repeated.
 
         Args:
-            samples: what is packed, of clips of one frame rate.
+            samples: to pack, from clips of one frame rate.
             length: steps of the window.
         """
         bodies, skins, wardrobe = [], [], self.wardrobe

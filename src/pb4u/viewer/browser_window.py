@@ -40,12 +40,12 @@ _AFTER_FAILURE = 0.5
 
 
 class BrowserWindow:
-    """One browser window: answers the requests of its panels, takes in frames of its simulation, and draws its page.
+    """One browser window: handles the requests of its panels, receives frames of its simulation, and draws its page.
 
     Args:
         client: the window.
-        clips: what it shows first.
-        out: folder that exports are kept in as well, or None.
+        clips: clips to show first.
+        out: folder in which exports are also saved, or None.
     """
 
     def __init__(self, client: ClientHandle, clips: tuple[Clip, ...], out: Path | None = None) -> None:
@@ -98,10 +98,10 @@ class BrowserWindow:
         return self._closed.is_set()
 
     def say(self, sentence: str) -> None:
-        """Tell the user what went wrong.
+        """Show the user an error message.
 
         Args:
-            sentence: what went wrong.
+            sentence: the error message.
         """
         if not self.closed:
             self._client.add_notification(
@@ -130,12 +130,12 @@ class BrowserWindow:
         """Hand the user a scene file, packed with the files it names; returns a sentence that says so.
 
         Args:
-            run: what it describes.
+            run: the run to describe.
         """
         require_offered(run, self.uploads.files)
         name, content = pack_scene(run, self.uploads.folder)
         self._client.send_file_download(name, content, save_immediately=True)
-        return f"{name} was handed to the browser; run it with `pb4u simulate scene.toml`."
+        return f"{name} was sent to the browser; run it with `pb4u simulate scene.toml`."
 
     def film(self, suffix: str) -> None:
         """Begin to take pictures of the current view.
@@ -144,12 +144,12 @@ class BrowserWindow:
             suffix: ".png" for the frame that is shown, ".gif" or ".mp4" for all of them.
 
         Raises:
-            InputError: there is nothing to see, or pictures are being taken.
+            InputError: there is nothing to show, or pictures are being taken.
             MissingExtraError: the format needs an extra.
         """
         with self._lock:
             if not self.state.clips:
-                raise InputError("There is nothing to see yet; simulate something first.")
+                raise InputError("There is nothing to show yet; simulate something first.")
             if self._film is not None:
                 raise InputError("Pictures are being taken; wait for them, or stop.")
             frames = [self.state.clock.frame] if suffix == ".png" else list(range(self.state.clock.frame_count))
@@ -157,7 +157,7 @@ class BrowserWindow:
         self._wake.set()
 
     def stop_filming(self) -> None:
-        """Take no more pictures, and throw away what is there."""
+        """Stop taking pictures, and discard those taken."""
         with self._lock:
             if self._film is not None:
                 self._film.stopped = True
@@ -166,10 +166,10 @@ class BrowserWindow:
         """Begin a simulation.
 
         Args:
-            run: what is simulated, and how.
+            run: the run to simulate.
 
         Raises:
-            InputError: another one runs, or the page does not offer what is requested.
+            InputError: another simulation is running, or the page does not offer this run.
         """
         require_offered(run, self.uploads.files)
         with self._lock:
@@ -187,7 +187,7 @@ class BrowserWindow:
         with self._lock:
             simulation, frame = self.simulation, self.state.clock.frame
             if simulation is None or not simulation.is_of(self.state.clips):
-                raise InputError("What is shown was not simulated on this page; simulate something first.")
+                raise InputError("The clip shown was not simulated on this page; simulate something first.")
             # The newest frame is followed again.
             self.state.clock.pause_at(self.state.clock.frame_count)
             if simulation.running:
@@ -374,7 +374,7 @@ class BrowserWindow:
                 with self._lock:
                     state = self.state.frozen()
                 if state.clips[:1] != (film.clip,):
-                    raise InputError("Something else is shown now; the pictures were thrown away.")
+                    raise InputError("Another clip is shown now; the pictures were discarded.")
                 state.clock.pause_at(frame)
                 self.display.settle(state, lambda: self.closed)
                 film.pictures.append(take_picture(self._client))

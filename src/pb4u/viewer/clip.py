@@ -16,12 +16,12 @@ from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 
 
 class Clip:
-    """A sequence of frames to show, every one of them finite.
+    """A sequence of frames to show, all finite.
 
     Args:
         label: what the page calls it.
-        simulated: the frames as they were simulated.
-        shown: the same frames, those that are not finite replaced by whole ones (`hold_finite`).
+        simulated: the simulated frames.
+        shown: the same frames, with frames that are not finite replaced by finite ones (`hold_finite`).
     """
 
     def __init__(self, label: str, simulated: Trajectory, shown: Trajectory) -> None:
@@ -30,12 +30,12 @@ class Clip:
 
     @property
     def header(self) -> TrajectoryHeader:
-        """Header of the trajectory: all that does not change from frame to frame."""
+        """Header of the trajectory: all data that do not change from frame to frame."""
         return self._simulated.header
 
     @property
     def held(self) -> frozenset[int]:
-        """Frames that stand still because their own values are not finite."""
+        """Frames that repeat an earlier one because their own values are not finite."""
         return frozenset(held_frames(self._shown))
 
     @property
@@ -45,7 +45,7 @@ class Clip:
 
     @property
     def file_stem(self) -> str:
-        """What files of it are called, less their suffix."""
+        """Name of its files, without suffix."""
         name = Path(self.label)
         stem = name.stem if name.suffix.lower() in WRITERS else self.label
         return re.sub(r"\W+", "_", stem).strip("_") or "garment"
@@ -67,7 +67,7 @@ class Clip:
         return np.asarray(self._shown.body_positions[t], dtype=np.float32)
 
     def trajectory(self) -> Trajectory:
-        """The frames that are there now, as they were simulated: for measuring and exporting."""
+        """The simulated frames so far, for measuring and exporting."""
         return self._simulated
 
 
@@ -95,8 +95,8 @@ class GrowingClip(Clip):
         header: what does not change.
         capacity: frames there will be at most.
         label: what the page calls it.
-        before: clip whose frames it begins with.
-        count: number of those frames.
+        before: clip with whose frames it begins.
+        count: number of these frames.
     """
 
     def __init__(
@@ -120,19 +120,19 @@ class GrowingClip(Clip):
             values[:count] = old_values[:count]
 
     def until(self, count: int, header: TrajectoryHeader | None = None) -> GrowingClip:
-        """A clip of its own that begins with the first frames of this one, which stays as it is.
+        """A new clip that begins with the first frames of this one, which does not change.
 
         Args:
-            count: number of those frames.
+            count: number of these frames.
             header: of its cloth, on the same mesh; by default that of this one.
         """
         return GrowingClip(header or self.header, len(self._shown.positions), self.label, self, count)
 
     def note(self, sentence: str) -> None:
-        """Say in the metadata what was done to the cloth; once.
+        """Record in the metadata, once, an action on the cloth.
 
         Args:
-            sentence: what was done.
+            sentence: description of the action.
         """
         self._notes = tuple(dict.fromkeys((*self._notes, sentence)))
 

@@ -58,7 +58,7 @@ _PATCH_SPREAD = 1.9
 
 
 def light(scene: SceneApi) -> None:
-    """Add the lights that all windows share: sky, fill and rim, so that what the key light leaves dark stays readable.
+    """Add the lights that all windows share: sky, fill and rim, so that surfaces outside the key light stay readable.
 
     Args:
         scene: of the server.
@@ -73,14 +73,14 @@ def light(scene: SceneApi) -> None:
 
 
 class Display:
-    """The drawing of one page, sent no faster than its browser takes it in. One thread alone works with it.
+    """The drawing of one page, sent no faster than its browser can receive it. Only one thread may use it.
 
     Args:
         client: the window.
-        dragged: told of a mouse that drags cloth that can be touched, of a clip alone in the view.
+        dragged: called when the mouse drags cloth, if a single clip that can be touched is in view.
 
     Attributes:
-        looks: the overlay of each clip; none before one is chosen.
+        looks: the overlay of each clip; empty before one is chosen.
     """
 
     def __init__(self, client: ClientHandle, dragged: Dragged) -> None:
@@ -103,13 +103,13 @@ class Display:
         self._asked: list[Future[None]] = []
 
     def update(self, state: ViewState) -> None:
-        """Bring the scene up to a state that stands still.
+        """Update the scene to a frozen state.
 
         Args:
-            state: what is to be shown, as `ViewState.frozen` returns it.
+            state: the state to show, from `ViewState.frozen`.
 
         Raises:
-            Exception: what kept an overlay from being painted; once, after the clips were shown shaded.
+            Exception: why an overlay could not be painted; once, after the clips were shown shaded.
         """
         self._key.cast_shadow = state.shadows
         if state.hand != self._held_at:
@@ -188,7 +188,7 @@ class Display:
         """Draw a state and wait until the browser shows it.
 
         Args:
-            state: what is to be shown, as `ViewState.frozen` returns it.
+            state: the state to show, from `ViewState.frozen`.
             gone: whether nobody is waiting any more.
         """
         self.update(state)
@@ -209,7 +209,7 @@ class Display:
         self._questions.shutdown(wait=False, cancel_futures=True)
 
     def frame_camera(self, follow: bool) -> None:
-        """Look at all clips from the front, a little to the side; `follow` as in the state that is drawn.
+        """Look at all clips from the front, a little to the side; `follow` as in the drawn state.
 
         Args:
             follow: whether the view follows the body.
@@ -242,10 +242,10 @@ class Figure:
     """The cloth and the body of a clip.
 
     Args:
-        scene: of one page.
+        scene: scene of one page.
         name: of the node that holds both.
-        clip: what is shown.
-        place: (3,) where its origin stands [m].
+        clip: the clip to show.
+        place: (3,) position of its origin [m].
     """
 
     def __init__(self, scene: SceneApi, name: str, clip: Clip, place: np.ndarray) -> None:
@@ -261,7 +261,7 @@ class Figure:
         self._waiting: tuple[np.ndarray, bool, np.ndarray] | None = None
 
     def look(self, overlay: Overlay) -> None:
-        """Paint the garment another way from the next frame on.
+        """Change the look of the garment from the next frame on.
 
         Args:
             overlay: how to paint it.
@@ -273,10 +273,10 @@ class Figure:
         self._garment.on_drag(self._dragged)
 
     def on_drag(self, dragged: Dragged | None) -> None:
-        """Tell of a mouse that drags the cloth, as `Surface.on_drag` does.
+        """Call a function when the mouse drags the cloth; see `Surface.on_drag`.
 
         Args:
-            dragged: told of it; None for no more.
+            dragged: the function; None to stop.
         """
         if dragged is not self._dragged:
             self._dragged = dragged
@@ -295,7 +295,7 @@ class Figure:
         return self._waiting is not None
 
     def show(self, t: int, body: bool, follow: bool) -> None:
-        """Send a frame, and reveal the one before where that waits.
+        """Send a frame, and reveal the previous one if it is still hidden.
 
         Args:
             t: the frame.
@@ -311,7 +311,7 @@ class Figure:
             self.reveal()
 
     def reveal(self) -> None:
-        """Bring the frame that waits into sight: garment, body and place together."""
+        """Reveal the hidden frame: garment, body and position together."""
         if self._waiting is None:
             return
         (body_now, body, away), self._waiting = self._waiting, None
@@ -335,7 +335,7 @@ class Figure:
         self._patch.position = (float(middle[0]), 2e-3, float(middle[2]))
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove it from the scene."""
         self._node.remove()
 
 

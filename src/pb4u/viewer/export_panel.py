@@ -66,7 +66,7 @@ class ExportPanel(Panel):
         self._film_status.content = notice(f"Picture {number + 1} of {total}; the view stays as it is meanwhile.")
 
     def filmed(self, sentence: str) -> None:
-        """Show that no more are taken; `sentence` says what became of them.
+        """Show that recording has ended; `sentence` says with what result.
 
         Args:
             sentence: what became of the pictures.
@@ -92,7 +92,7 @@ def pack_scene(run: Run, folder: Path) -> tuple[str, bytes]:
     """A scene file, alone or packed with the files it names: name and content of one file for the browser.
 
     Args:
-        run: what it describes.
+        run: the run to describe.
         folder: that holds the files it names, and for a moment the scene file.
     """
     with _ONE_AT_A_TIME:
@@ -131,11 +131,12 @@ def deliver(
     Args:
         clip: what to write.
         suffix: one of `pb4u.export.registry.WRITERS`.
-        folder: where to keep the files as well; None keeps none.
-        say: called with a sentence where there is more to know of what was written.
+        folder: in which to save the files as well; None for none.
+        say: called with a sentence on details of the written file.
 
     Returns:
-        Name and content of one file for the browser (a ZIP where the format is several files), and where it was kept.
+        Name and content of one file for the browser (a ZIP where the format is several files), and the path where it
+        was saved.
 
     Raises:
         InputError: there is no such format or no frame yet, or the exporter refuses.

@@ -38,8 +38,8 @@ class Film:
         clip: the first clip that is shown, which gives the frame rate and the name.
 
     Attributes:
-        pictures: (height, width, 3 or 4) uint8 each, those that are taken.
-        stopped: whether no more are wanted.
+        pictures: (height, width, 3 or 4) uint8 each, the pictures so far.
+        stopped: whether recording was stopped.
 
     Raises:
         InputError: there are too many frames, or no such format.
@@ -51,13 +51,13 @@ class Film:
         if suffix == ".mp4":
             check_mp4(Path(suffix))
         if len(frames) > _MOST_FRAMES:
-            raise InputError(f"A video of the view has at most {_MOST_FRAMES:,} frames, and here are {len(frames):,}.")
+            raise InputError(f"A video of the view can have at most {_MOST_FRAMES:,} frames, not {len(frames):,}.")
         self.suffix, self.frames, self.clip = suffix, frames, clip
         self.pictures: list[np.ndarray] = []
         self.stopped = False
 
     def developed(self) -> tuple[str, bytes, str]:
-        """Name and content of the file, and what else to know of it as a predicate, or nothing."""
+        """Name and content of the file, and a note on it as a predicate, or ""."""
         from PIL import Image
 
         stem = self.clip.file_stem
@@ -98,4 +98,4 @@ def take_picture(client: ClientHandle) -> np.ndarray:
     try:
         return client.get_render(camera.image_height, camera.image_width, transport_format="png", timeout=_PATIENCE)
     except (TimeoutError, RuntimeError) as error:
-        raise Pb4uError("The browser gave no picture; keep its window in sight while pictures are taken.") from error
+        raise Pb4uError("The browser returned no picture; keep its window visible while pictures are taken.") from error

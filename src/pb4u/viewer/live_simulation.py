@@ -33,10 +33,11 @@ MOST_REFINING = 100
 
 
 def require_offered(run: Run, files: Collection[Path] = ()) -> None:
-    """Refuse what the page does not offer: it is not trusted, so it names what is built in or what it handed over.
+    """Refuse inputs that the page does not offer: since a page is not trusted, it may name only built-in assets and its
+    own uploads.
 
     Args:
-        run: what a page asked for.
+        run: the run requested by a page.
         files: files that it handed over.
 
     Raises:
@@ -79,15 +80,16 @@ class _Cancelled(Exception):
 
 
 class LiveSimulation(Worker):
-    """One run, ended between two steps when it is cancelled, and touched from the page while it runs.
+    """One run, which can be cancelled between two steps and touched from the page.
 
     Args:
-        run: what is simulated, and how.
-        advanced: called with the clip so far, the steps done and the steps in all, both with the lead-in, after every
+        run: the run to simulate.
+        advanced: called with the clip so far, the finished and the total steps, both with the lead-in, after every
             step and every frame, in the thread that computes.
-        ended: called at the end with the clip, or None where it could not begin, how it ended in words, and how.
+        ended: called at the end with the clip (None if it could not begin), a sentence on how it ended, and its
+            `Ending`.
         files: files that the page handed over.
-        speed: seconds of the simulation that may pass in a second; it is asked for after every frame.
+        speed: called after every frame; returns the largest number of simulated seconds per second.
         touches: what the page does to the cloth.
     """
 
@@ -110,7 +112,7 @@ class LiveSimulation(Worker):
 
     @property
     def live(self) -> LiveRun | None:
-        """The run that can be touched; None before it has begun, and where no step can be."""
+        """The run that can be touched; None before it begins, and if its steps cannot be touched."""
         return self._live
 
     @property
@@ -119,7 +121,7 @@ class LiveSimulation(Worker):
         return self.running and self._live is not None and self._live.feels
 
     def is_of(self, clips: tuple[Clip, ...]) -> bool:
-        """Whether it makes what is shown.
+        """Whether it computes the shown clip.
 
         Args:
             clips: that are shown.
@@ -127,7 +129,7 @@ class LiveSimulation(Worker):
         return clips == (self._clip,)
 
     def resumed(self, frame: int) -> LiveSimulation:
-        """A simulation that goes on from a frame of this one, which has ended; it takes over all of its frames.
+        """A simulation that continues from a frame of this one, which has ended, and includes its frames.
 
         Args:
             frame: number of the frame.
@@ -136,9 +138,9 @@ class LiveSimulation(Worker):
             InputError: it cannot be gone back to.
         """
         if self._live is None or not self._live.written_count:
-            raise InputError("Nothing is simulated that could go on; simulate something first.")
+            raise InputError("There is no simulation to continue; simulate something first.")
         if frame >= self._live.scene.frames - 1 and not self.touches.endless:
-            raise InputError("This is the last frame; choose an earlier one, or let it go on after the last frame.")
+            raise InputError("This is the last frame; choose an earlier one, or continue after the last frame.")
         other = LiveSimulation(self._specification, self._advanced, self._ended, self._files, self._speed, self.touches)
         other._clip, other._live, other._frames = self._clip, self._live, self._frames
         self.touches.go_back(frame)
@@ -166,8 +168,8 @@ class LiveSimulation(Worker):
         for entry in scene.garments:
             if (count := entry.garment.triangle_count) > MOST_TRIANGLES:
                 raise InputError(
-                    f"{entry.garment.name} has {count:,} triangles, and {MOST_TRIANGLES:,} are the most here; ask for "
-                    "fewer."
+                    f"{entry.garment.name} has {count:,} triangles; the studio simulates at most {MOST_TRIANGLES:,}: "
+                    "ask for fewer."
                 )
         self._end_if_cancelled()
         label = f"{scene.labels['garment']}, {scene.labels['motion']}, {simulator.name}"

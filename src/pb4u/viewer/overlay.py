@@ -31,9 +31,9 @@ class ColourScale:
     """A fixed range of values and its colours: fixed, so that frames and trajectories compare.
 
     Args:
-        title: what is shown, with its unit.
-        low: value at the lower end; what lies below takes its colour.
-        high: value at the upper end; what lies above takes its colour.
+        title: the shown quantity, with its unit.
+        low: value at the lower end; lower values get its colour.
+        high: value at the upper end; higher values get its colour.
         low_label: how the lower end is written.
         high_label: how the upper end is written.
         colours: name of a matplotlib colour map.
@@ -47,7 +47,7 @@ class ColourScale:
     colours: str = "viridis"
 
     def vertex_colours(self, values: np.ndarray) -> np.ndarray:
-        """Colours of values; what is not finite is painted as the low end.
+        """Colours of values; values that are not finite get the colour of the low end.
 
         Args:
             values: (vertices,) in the unit that `title` names.
@@ -94,13 +94,13 @@ def _linear_colours(name: str) -> np.ndarray:
 
 
 class Overlay:
-    """One way to look at one clip: here plain cloth in the light.
+    """One look of one clip; this class shows plain shaded cloth.
 
     Args:
-        clip: what is looked at.
+        clip: the clip to draw.
 
     Attributes:
-        wireframe: whether edges are drawn in place of faces.
+        wireframe: whether to draw edges instead of faces.
         scale: what the colours mean; None where nothing is painted.
     """
 
@@ -134,7 +134,7 @@ class PaintedOverlay(Overlay, ABC):
     """A number at every vertex, shown as a colour.
 
     Args:
-        clip: what is looked at.
+        clip: the clip to draw.
 
     Attributes:
         scale: range, unit and colours of the numbers.
@@ -191,7 +191,7 @@ class Penetration(PaintedOverlay):
     """Signed distance of each vertex to the body's surface, negative inside.
 
     Args:
-        clip: what is looked at.
+        clip: the clip to draw.
 
     Raises:
         InputError: the body's surface is open, so that it has no inside.
@@ -212,7 +212,7 @@ class Penetration(PaintedOverlay):
 
 
 class SelfIntersections(PaintedOverlay):
-    """Triangles of cloth that cross others which they share no vertex with, of one garment or of two."""
+    """Triangles of cloth that cross triangles without a shared vertex, within a garment or between two."""
 
     scale = ColourScale("Cloth through cloth", 0.0, 1.0, "free", "crosses", "coolwarm")
 
@@ -228,7 +228,7 @@ class SelfIntersections(PaintedOverlay):
 
 
 class VisibleSkin(PaintedOverlay):
-    """Cloth under which the body lies that should lie over it: the triangles through which skin shows."""
+    """Triangles of cloth through which skin shows: the body is above cloth that should cover it."""
 
     scale = ColourScale("Skin through cloth", 0.0, 1.0, "covered", "skin shows", "coolwarm")
 

@@ -23,7 +23,7 @@ class PageGuard:
 
     Args:
         host: address that the studio listens on.
-        port: port that it listens on; 0 where it is not known yet.
+        port: port on which it listens; 0 if not yet known.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -34,7 +34,7 @@ class PageGuard:
         self._cookie = f"pb4u-{port or secrets.token_hex(4)}"
 
     def refusal(self, path: str, headers: Any) -> str | None:
-        """Why a request is not answered, as a sentence; None where it is.
+        """Sentence on why a request is refused; None if it is allowed.
 
         Args:
             path: path and query that it asks for.
@@ -42,15 +42,15 @@ class PageGuard:
         """
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or len(origins) > 1:
-            return "The request does not say which address it is for."
+            return "The request needs one Host header, and at most one Origin header."
         if self.is_local and not _is_here(_name(hosts[0])):
-            return "The studio listens on this machine alone; open it as http://localhost and its port."
+            return "The studio listens only on this machine; open it as http://localhost and its port."
         is_websocket = "websocket" in headers.get("Upgrade", "").lower()
-        # A browser sends the origin with every websocket; one without is no page of the studio.
+        # A browser sends the origin with every websocket; one without is not a page of the studio.
         if (is_websocket or origins) and (not origins or not _is_same_origin(origins[0], hosts[0])):
-            return "The studio answers its own page alone."
+            return "The studio answers only its own page."
         if self.token and not self._is_known(path, headers):
-            return "Open the studio by the whole address that it was started with, token included."
+            return "Open the studio at the full address that it printed when it started, token included."
         return None
 
     def cookie(self, path: str) -> str | None:
@@ -105,8 +105,8 @@ def _is_here(host: str) -> bool:
 def guarded_server(guard: PageGuard) -> Iterator[None]:
     """Within it, a viser server that starts asks `guard` about each request.
 
-    viser hands its own function for requests to `websockets` and offers no place for another, so it is wrapped on its
-    way there.
+    viser passes its own request function to `websockets` and has no hook for another one, so this function is wrapped
+    there.
 
     Args:
         guard: what decides.

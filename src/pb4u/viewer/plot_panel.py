@@ -31,7 +31,7 @@ class Measurement(Worker):
         clip: with all of its frames.
 
     Attributes:
-        failure: why it could not be measured, in one sentence; None while nothing is wrong.
+        failure: sentence on why it could not be measured; None without an error.
     """
 
     def __init__(self, clip: Clip) -> None:
@@ -48,7 +48,8 @@ class Measurement(Worker):
         return len(self._rows)
 
     def series(self, quantity: str) -> np.ndarray:
-        """Values (frames,) of one of `QUANTITIES`, in its unit; NaN where it is not measured yet, or not finite.
+        """Values (frames,) of one of `QUANTITIES`, in its unit; NaN for frames that are not measured yet, or not
+        finite.
 
         Args:
             quantity: its name.
@@ -89,7 +90,7 @@ class PlotPanel(Panel):
 
         Args:
             measurements: of every clip that is shown.
-            frame: frame of the timeline at which the line stands.
+            frame: frame of the timeline for the vertical line.
         """
         if not measurements:
             self._clear()
@@ -142,7 +143,7 @@ class PlotPanel(Panel):
 
 
 def on_timeline(curve: np.ndarray, rate: float) -> np.ndarray:
-    """Values at the frames of another clip, each of the moment that is shown beside it.
+    """Values at the frames of another clip shown beside this one, at the same times.
 
     Args:
         curve: (frames,) values at the frames of a clip.
@@ -159,7 +160,7 @@ def chart_data(curves: list[np.ndarray], frame: float) -> tuple[np.ndarray, ...]
 
     Args:
         curves: (frames,) values each, in one unit, all of one length; NaN where there is none.
-        frame: place of the line on the abscissa [frames].
+        frame: position of the line on the abscissa [frames].
 
     Returns:
         Arrays of one length, (frames + 2,) each: abscissa [frames], the curves, and the line in their unit.

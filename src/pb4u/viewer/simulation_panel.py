@@ -61,7 +61,9 @@ def _of_parts(text: str) -> dict[str, str]:
     """Materials by part, as they are written into a field."""
     pairs = [part.partition("=") for part in text.split(",") if part.strip()]
     if any(not part.strip() or not material.strip() for part, _, material in pairs):
-        raise InputError(f"Fabrics of parts are PART=MATERIAL, separated by commas, such as hem=denim, not {text!r}.")
+        raise InputError(
+            f"Fabrics of parts must be PART=MATERIAL, separated by commas, such as hem=denim, not {text!r}."
+        )
     return {part.strip(): material.strip() for part, _, material in pairs}
 
 
@@ -95,13 +97,13 @@ class GarmentControls:
             )  # fmt: skip
 
     def specification(self, find: Callable[[str, str], Path | None]) -> WornGarment:
-        """The garment that is filled in; `find` gives the file of a kind and name, if there is one.
+        """The garment from the form; `find` gives the file of a kind and name, if there is one.
 
         Args:
             find: gives the path of a file of a kind and name, or None.
 
         Raises:
-            InputError: the fabrics of its parts are written otherwise.
+            InputError: the fabrics of its parts have another format.
         """
         values = _values(WornGarment, self.controls, find)
         unset: dict[str, Any] = {name: None for name in ("material", "pins") if values[name] == _OWN}
@@ -226,7 +228,7 @@ class SimulationPanel(Panel):
         self._status.content = notice(f"Step {done} of {total}, lead-in included.")
 
     def stopping(self) -> None:
-        """Show that the simulation has been told to end."""
+        """Show that the simulation is being stopped."""
         self._stop.disabled = True
         self._status.content = notice("Stopping after this step.")
 

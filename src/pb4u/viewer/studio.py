@@ -26,14 +26,14 @@ class Studio:
     """Serves the studio until it is closed.
 
     Args:
-        clips: what every new window shows first: none, one, or two side by side.
+        clips: clips that every new window shows first: none, one, or two side by side.
         host: address to listen on.
-        port: port to listen on; 0 takes a free one.
-        out: folder that exports are kept in besides being downloaded, or None.
+        port: port to listen on; 0 chooses a free one.
+        out: folder in which exports are also saved, or None.
 
     Raises:
         MissingExtraError: without the "view" extra.
-        InputError: the port is taken, or the folder is not there.
+        InputError: the port is in use, or the folder does not exist.
     """
 
     def __init__(
@@ -97,7 +97,8 @@ def check_port(host: str, port: int) -> None:
         port: port; 0 is any.
 
     Raises:
-        InputError: the port is taken, not allowed or not a port, or the address is not this machine's.
+        InputError: the port is in use, not allowed or not a port number, or the address does not belong to this
+            machine.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as probe:
@@ -105,7 +106,7 @@ def check_port(host: str, port: int) -> None:
         try:
             probe.bind((host, port))
         except OverflowError as error:
-            raise InputError(f"A port is a number from 0 to 65535, not {port}.") from error
+            raise InputError(f"A port must be a number from 0 to 65535, not {port}.") from error
         except OSError as error:
             raise InputError(
                 f"Cannot listen on port {port} of {host} ({error.strerror}); choose another with --port, or 0 for any."

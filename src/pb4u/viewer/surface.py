@@ -36,7 +36,7 @@ class Surface(ABC):
 
         Args:
             positions: (vertices, 3) float32 [m].
-            colours: (vertices, 4) uint8 linear RGBA; None where the surface has one colour.
+            colours: (vertices, 4) uint8 linear RGBA; None if the surface has one colour.
         """
 
     @abstractmethod
@@ -45,15 +45,15 @@ class Surface(ABC):
 
     @abstractmethod
     def on_drag(self, dragged: Dragged | None) -> None:
-        """Tell of a mouse that drags the cloth with its left button, in place of turning the view; None for no more.
+        """Call a function when the left mouse button drags the cloth, instead of rotating the view; None to stop.
 
         Args:
-            dragged: called in the thread of the server that takes messages, one after the other.
+            dragged: called one at a time, in the server's thread for messages.
         """
 
     @abstractmethod
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove it from the scene."""
 
 
 def _listen(node: MeshHandle, dragged: Dragged | None) -> None:
@@ -71,11 +71,11 @@ class PlainSurface(Surface):
     """One colour: after the first frame only positions travel, 12 bytes a vertex.
 
     Args:
-        scene: of one page.
+        scene: scene of one page.
         name: of the node.
         faces: (faces, 3) int.
         colour: sRGB from 0 to 1.
-        wireframe: draw edges in place of faces.
+        wireframe: draw edges instead of faces.
     """
 
     def __init__(
@@ -119,13 +119,13 @@ class PlainSurface(Surface):
 
 
 class GarmentsSurface(Surface):
-    """Garments, each part of one colour a surface of its own, with their hems and seams.
+    """Garments with their hems and seams; each part of one colour is a separate surface.
 
     Args:
-        scene: of one page.
+        scene: scene of one page.
         name: of the nodes.
         header: of the garments.
-        wireframe: draw edges in place of faces, hems and seams.
+        wireframe: draw edges instead of faces, hems and seams.
     """
 
     def __init__(self, scene: SceneApi, name: str, header: TrajectoryHeader, wireframe: bool = False) -> None:
@@ -171,11 +171,11 @@ class GarmentsSurface(Surface):
 class PaintedSurface(Surface):
     """A mesh with a colour at every vertex, shown by three GLB copies in turn, since a browser takes time to read one.
 
-    A browser needs a moment to read a GLB and shows nothing meanwhile, so a frame is sent out of sight and revealed
-    with the next one. The third keeps what was shown before alive, and with it the compiled shader.
+    A browser needs a moment to read a GLB and shows nothing meanwhile, so a frame is sent hidden and revealed with the
+    next one. The third keeps the previous mesh alive, and with it the compiled shader.
 
     Args:
-        scene: of one page.
+        scene: scene of one page.
         name: of the nodes.
         faces: (faces, 3) int.
     """
@@ -203,7 +203,7 @@ class PaintedSurface(Surface):
             node.visible = turn == shown
 
     def on_drag(self, dragged: Dragged | None) -> None:
-        """Nothing: the browser ends a drag where its mesh is hidden, as each of these is in its turn.
+        """Does nothing: the browser ends a drag when its mesh is hidden, and each of these is hidden in turn.
 
         Args:
             dragged: never called.

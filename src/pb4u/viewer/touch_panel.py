@@ -18,7 +18,7 @@ _UNFELT = (
 
 
 class TouchPanel(Panel):
-    """Wind, fabrics, and from which frame to how far the simulation goes."""
+    """Wind, fabrics, and the first and last frame of the continued simulation."""
 
     def _add_controls(self) -> None:
         gui = self._gui
@@ -55,7 +55,7 @@ class TouchPanel(Panel):
         """Offer the fabrics of the garments of a run, and say what its cloth does not feel.
 
         Args:
-            live: that began; None where no step of it can be touched.
+            live: the simulation that began; None if it cannot be touched.
         """
         if live is self._offered and live is not None:
             return

@@ -45,10 +45,11 @@ class _Grasp:
 
 
 class Touches:
-    """What a page does, from any thread; the simulation reads it once a step.
+    """Actions of a page, set from any thread; the simulation reads them once a step.
 
     Attributes:
-        endless: whether the simulation goes on after its last frame, up to the most frames; the body then stands.
+        endless: whether the simulation continues after its last frame, up to the largest number of frames, with a body
+            at rest.
     """
 
     def __init__(self) -> None:
@@ -60,12 +61,12 @@ class Touches:
         self._requests: deque[Callable[[LiveRun, GrowingClip], GrowingClip]] = deque()
 
     def begin(self) -> None:
-        """Forget what was asked of another simulation; the wind stays as it is."""
+        """Discard requests for another simulation; the wind does not change."""
         self.let_go()
         self._requests.clear()
 
     def grab(self, live: LiveRun, clip: Clip, frame: int, point: Point, follows: bool) -> None:
-        """Take hold of the cloth that is nearest to a point of the view.
+        """Grab the cloth nearest to a point of the view.
 
         Args:
             live: the run that is touched.
@@ -102,7 +103,7 @@ class Touches:
 
     @property
     def held_at(self) -> Point | None:
-        """Where the hand is in the view, (3,) [m]; None where nothing is held."""
+        """Position of the hand in the view, (3,) [m]; None if nothing is held."""
         grasp = self._grasp
         return None if grasp is None else grasp.point
 
@@ -111,11 +112,11 @@ class Touches:
 
         Args:
             speed: [m/s]; none for still air.
-            degrees: where it comes from, counted from where the body faces first to its left.
-            gusts: whether it comes in gusts.
+            degrees: direction from which it blows: 0 is the body's first heading, positive to its left.
+            gusts: whether it has gusts.
 
         Raises:
-            InputError: a value is no finite number, or out of range.
+            InputError: a value is not a finite number, or out of range.
         """
         for what, value, most in (("speed of the wind [m/s]", speed, STRONGEST_WIND), ("direction", degrees, 360.0)):
             if not isinstance(value, int | float) or not 0.0 <= value <= most:
@@ -140,7 +141,7 @@ class Touches:
             live.dress(number, material)
             other = clip.until(clip.frame_count, live.header)
             garment = live.scene.garments[number].garment.name
-            other.note(f"From frame {clip.frame_count} on {garment} was of {name}.")
+            other.note(f"From frame {clip.frame_count} on, {garment} was made of {name}.")
             return other
 
         self._requests.append(dressed)
@@ -162,7 +163,7 @@ class Touches:
         self._requests.append(back)
 
     def before_a_step(self, live: LiveRun, clip: GrowingClip) -> GrowingClip:
-        """Do what was asked for since the last step, in the thread that computes; returns the clip that goes on.
+        """Apply the requests since the last step, in the computing thread; returns the clip to continue.
 
         Args:
             live: the run.
@@ -177,7 +178,7 @@ class Touches:
 
         Args:
             live: the run.
-            clip: its frames, in whose metadata it is noted.
+            clip: its frames; actions are recorded in its metadata.
         """
         grasp, wind = self._grasp, self._wind
         if not live.feels or (grasp is None and wind is None):

@@ -53,11 +53,11 @@ class Uploads:
 
     @property
     def folder(self) -> Path:
-        """Folder that holds them, those of a kind in a folder of its own."""
+        """Folder with the files, with a subfolder for each kind."""
         return Path(self._folder.name)
 
     def keep(self, kind: str, name: str, content: bytes) -> str:
-        """Keep a file; the name it has here. One of this name and kind is replaced.
+        """Save a file; returns its name here. A file of this name and kind is replaced.
 
         Args:
             kind: one of `KINDS`.
@@ -65,12 +65,12 @@ class Uploads:
             content: all of its bytes.
 
         Raises:
-            InputError: it is of no such kind, too large, or the disk takes no more.
+            InputError: it is of another kind, too large, or the disk is full.
         """
         plain = re.sub(r"[^\w.+-]+", "_", re.split(r"[/\\]", name)[-1]).lstrip("._")
         suffix, accepted = Path(plain).suffix.lower(), KINDS[kind].suffixes + KINDS[kind].companions
         if suffix not in accepted or plain == suffix:
-            raise InputError(f"{name} is no {kind} file that can be read; the kinds are {', '.join(accepted)}.")
+            raise InputError(f"{name} cannot be read as a {kind} file; the accepted formats are {', '.join(accepted)}.")
         there = sum(path.stat().st_size for path in self._files.values() if path.is_file())
         refuse_large(name, len(content), there)
         path = self.folder / kind / plain
@@ -120,11 +120,11 @@ def refuse_large(name: str, size: int, there: int = 0) -> None:
         InputError: it is.
     """
     if size > MOST_BYTES:
-        raise InputError(f"{name} has {size / 2**20:,.0f} MB, and {MOST_BYTES / 2**20:,.0f} MB are the most.")
+        raise InputError(f"{name} has {size / 2**20:,.0f} MB; at most {MOST_BYTES / 2**20:,.0f} MB are allowed.")
     if size + there > MOST_BYTES_TOGETHER:
         raise InputError(
-            f"With {name} this page would hold more than {MOST_BYTES_TOGETHER / 2**20:,.0f} MB; reload it to begin "
-            "without the files it has."
+            f"With {name} the files of this page would exceed {MOST_BYTES_TOGETHER / 2**20:,.0f} MB; reload the page "
+            "to remove the files it already has."
         )
 
 
@@ -135,7 +135,7 @@ def bound_uploads(gui: GuiApi, say: Callable[[str], None]) -> None:
 
     Args:
         gui: controls of one page.
-        say: told the sentence.
+        say: called with the sentence.
     """
     from viser import _messages
 

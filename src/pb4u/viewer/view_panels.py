@@ -81,7 +81,7 @@ def _caption(what: str, when: str, remarks: tuple[str, ...]) -> str:
 
 
 class LookPanel(Panel):
-    """Controls of the looks: what is painted on the cloth, and what stands in the scene."""
+    """Controls of the overlays on the cloth, and of the objects in the scene."""
 
     def _add_controls(self) -> None:
         gui = self._gui
@@ -101,7 +101,7 @@ class LookPanel(Panel):
         camera.on_click(self._answer(self._window.reset_camera))
 
     def explain(self, looks: tuple[Overlay, ...]) -> None:
-        """Write the legend of what is painted.
+        """Write the legend of the overlay.
 
         Args:
             looks: the overlay of each clip, all of one kind.

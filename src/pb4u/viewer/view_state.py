@@ -18,7 +18,7 @@ IDLE_WAIT = 0.25
 class PlaybackClock:
     """Turns time into frame numbers: playing, pausing, speed, loop and stepping.
 
-    Reading changes nothing, so that a thread which reads cannot undo what another one has set.
+    Reading changes nothing, so that a reading thread cannot undo changes by another one.
 
     Args:
         now: seconds that only go forward.
@@ -72,7 +72,7 @@ class PlaybackClock:
 
     @property
     def playing(self) -> bool:
-        """Whether time goes on; ends by itself at the last frame where it does not loop."""
+        """Whether it is playing; ends at the last frame unless it loops."""
         return self._reading(self._now())[1]
 
     @property
@@ -88,14 +88,14 @@ class PlaybackClock:
         self._position, self._playing = 0.0 if ended else self._position, True
 
     def toggle(self) -> None:
-        """Pause where it plays, play where it stands."""
+        """Pause if playing, play if paused."""
         if self.playing:
             self.pause_at(self.frame)
         else:
             self.play()
 
     def seek(self, frame: int) -> None:
-        """Go to a frame, the nearest there is; playing goes on from it.
+        """Go to a frame, or the nearest existing one; playing continues from it.
 
         Args:
             frame: frame to go to.
@@ -161,7 +161,7 @@ class ViewState:
     """The state of one browser window; nothing in it is shared with another.
 
     Attributes:
-        clips: what is shown, side by side; the first gives the timeline its frame rate.
+        clips: the shown clips, side by side; the first gives the timeline its frame rate.
         clock: which frame.
         overlay: name in `pb4u.viewer.overlay.OVERLAYS`.
         body: whether bodies are shown.
@@ -191,27 +191,27 @@ class ViewState:
         self.clock.load(clips[0].header.fps if clips else 30.0, self._length())
 
     def grow(self) -> None:
-        """Add the frames that have come."""
+        """Add new frames."""
         self.clock.grow(self._length())
 
     def frozen(self) -> ViewState:
-        """A copy of the state as it is now, for a thread that reads it while others change the state."""
+        """A copy of the present state, for a thread that reads it while others change the state."""
         other = copy(self)
         other.clock = self.clock.frozen()
         return other
 
     @property
     def follows_newest(self) -> bool:
-        """Whether it stands at the newest frame, and goes on to the next as it comes."""
+        """Whether it is at the newest frame, and moves on to each new one."""
         return not self.clock.playing and self.clock.frame >= self.clock.frame_count - 1
 
     @property
     def picture(self) -> tuple[object, ...]:
-        """Key of all that the drawing of the clips depends on: where two are equal, so is what is drawn."""
+        """Key of all values on which the drawing of the clips depends: equal keys give equal drawings."""
         return self.clips, self.clock.frame, self.overlay, self.body, self.follow
 
     def frame_of(self, clip: Clip, frame: int) -> int:
-        """The clip's own frame at a frame of the timeline: the same moment, or its last one.
+        """The clip's own frame at a frame of the timeline: the same time, or its last frame.
 
         Args:
             clip: one of the clips.

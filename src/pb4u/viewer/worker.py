@@ -31,7 +31,7 @@ class Worker(ABC):
         self._thread.start()
 
     def cancel(self) -> None:
-        """End before the next frame; what has been computed stays."""
+        """End before the next frame; computed frames stay."""
         self._cancelled.set()
 
     @property
@@ -59,7 +59,7 @@ _HEARING: ContextVar[list[str] | None] = ContextVar("hearing", default=None)
 
 @contextmanager
 def heard_warnings(sentences: list[str]) -> Iterator[None]:
-    """Take the product's own warnings of this thread for a page, in place of the terminal; other threads keep theirs.
+    """Send pb4u's warnings in this thread to a page instead of the terminal; other threads are unaffected.
 
     Args:
         sentences: gets their sentences.
@@ -92,7 +92,7 @@ def route_warnings() -> Callable[[], None]:
 
 
 def plain_sentence(error: BaseException) -> str:
-    """Sentence that a page says of an error; the traceback of one that is not the product's own is printed.
+    """Sentence on an error for a page; tracebacks of errors outside pb4u are printed.
 
     Args:
         error: the error.
@@ -100,4 +100,4 @@ def plain_sentence(error: BaseException) -> str:
     if (sentence := sentence_on(error)) is not None:
         return sentence
     traceback.print_exception(error, file=sys.stderr)
-    return f"Something unforeseen went wrong ({type(error).__name__}); the terminal shows where. The page goes on."
+    return f"An unexpected error occurred ({type(error).__name__}); the terminal shows where. The studio keeps running."

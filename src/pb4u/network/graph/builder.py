@@ -37,7 +37,8 @@ class FoundEdges:
     Args:
         senders: vertex at the start of each edge.
         receivers: vertex at the end of each.
-        future: (edges, 1) 1 for edges between where vertices will be, else 0 [1]; None where all are present ones.
+        future: (edges, 1) 1 for edges between future positions of vertices, else 0 [1]; None if all use present
+            positions.
     """
 
     senders: Incidence
@@ -56,7 +57,7 @@ class FoundEdges:
 
 
 class EdgeFinder(Protocol):
-    """Finds edges between garment vertices at every step, such as those of cloth that comes near itself."""
+    """Finds edges between garment vertices at every step, such as between parts of cloth that are near each other."""
 
     def found(self, seen: SeenGarments) -> Mapping[str, FoundEdges]:
         """Edges by kind; empty kinds are named as well.
@@ -68,7 +69,7 @@ class EdgeFinder(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class GraphBuilder:
-    """Makes the graph of each step; everything that does not change was computed when the builder was made.
+    """Makes the graph of each step; its constant parts are computed once, when the builder is made.
 
     Args:
         static: mesh edges and rest-state features.
@@ -76,7 +77,7 @@ class GraphBuilder:
         world_edges: rule for the body vertices that a garment vertex has edges to.
         finder: finds the edges that change from step to step; None where none do.
         rest: tensors handed on to every graph (`Graph.rest`), by name.
-        pins: rule for what is seen of pinned vertices.
+        pins: rule for the positions and velocities of pinned vertices that the network gets.
     """
 
     static: GarmentGraph
@@ -109,8 +110,8 @@ class GraphBuilder:
             origins: (worlds, 3) subtracted from the positions of each world before they are rounded to the graph's
                 precision [m].
             extra: (vertices, width) node features that the layout names as `extra`, each in the unit of its `Feature`.
-            pin_positions: (vertices, 3) where pinned vertices will be after the step [m], or None where that is open;
-                other rows are not read.
+            pin_positions: (vertices, 3) where pinned vertices will be after the step [m], or None if unknown; other
+                rows are not read.
 
         Raises:
             InputError: an extra feature of the layout is absent or of another width.

@@ -23,8 +23,7 @@ class Feature:
         width: number of columns.
         unit: SI unit, "1" where it has none.
         normalised: whether running statistics centre and scale it.
-        typical: usual spread, taken where there are no statistics yet; spreads below a hundredth of it are raised to
-            that.
+        typical: usual spread, used until there are statistics; spreads below a hundredth of it are raised to that.
         source: meaning and origin of the definition; for the reader, so not compared.
     """
 
@@ -124,7 +123,7 @@ class MaterialRange:
         lame_mu: lowest and highest [Pa].
         lame_lambda: lowest and highest [Pa].
         bending: lowest and highest [J].
-        margin: how far beyond [0, 1] values may lie before they are clamped; None never clamps, as the released code.
+        margin: how far beyond [0, 1] values may be before they are clamped; None never clamps, like the released code.
     """
 
     density: tuple[float, float] = (0.0434, 0.7)
@@ -136,13 +135,13 @@ class MaterialRange:
 
 @dataclass(frozen=True)
 class FeatureLayout:
-    """Columns that a network reads, in order.
+    """Feature columns that a network gets as input, in order.
 
     Args:
         node: names from `NODE_FEATURES`.
         mesh_edge: names from `MESH_EDGE_FEATURES`.
         world_edge: names from `WORLD_EDGE_FEATURES`.
-        extra: further node features, given to the builder by name; zero on the body.
+        extra: further node features, passed to the builder by name; zero on the body.
         material_range: ranges of material parameters that are mapped to [0, 1].
         found_edge: names from `FOUND_EDGE_FEATURES`, for edges found at every step between garment vertices that
             come near each other.
@@ -165,7 +164,7 @@ class FeatureLayout:
                     raise InputError(f"There is no {label} feature {name!r}; there are: {', '.join(table)}.")
 
     def columns(self, table: str) -> tuple[Feature, ...]:
-        """Chosen features of one of `TABLES`; those of the nodes with the extra ones.
+        """Chosen features of one of `TABLES`; for nodes with the extra ones.
 
         Args:
             table: one of `TABLES`.
@@ -189,7 +188,7 @@ def map_log(values: Tensor, limits: tuple[float, float], margin: float | None = 
     Args:
         values: (...) of any unit, 0 or more.
         limits: both above 0, in the unit of the values.
-        margin: how far beyond [0, 1] values may lie before they are clamped; None for no clamping.
+        margin: how far beyond [0, 1] values may be before they are clamped; None for no clamping.
     """
     low, high = (float(torch.tensor(limit, dtype=torch.float64).log()) for limit in limits)
     return _mapped(values.clamp_min(torch.finfo(values.dtype).tiny).log(), low, high, margin)
@@ -201,7 +200,7 @@ def map_linear(values: Tensor, limits: tuple[float, float], margin: float | None
     Args:
         values: (...) of any unit.
         limits: in the unit of the values.
-        margin: how far beyond [0, 1] values may lie before they are clamped; None for no clamping.
+        margin: how far beyond [0, 1] values may be before they are clamped; None for no clamping.
     """
     return _mapped(values, *limits, margin)
 

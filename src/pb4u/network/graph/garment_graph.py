@@ -42,7 +42,7 @@ class GarmentGraph:
     """Static nodes and edges of packed garments.
 
     Args:
-        edges: edges by kind; "mesh" always, and those that a network adds, such as "coarse".
+        edges: edges by kind; "mesh" always, and kinds that a network adds, such as "coarse".
         node_types: (vertices,) int64 `NodeType`.
         node_owner: (vertices,) int64 garment.
         node_world: (vertices,) int64 world.

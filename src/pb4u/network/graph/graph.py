@@ -69,12 +69,12 @@ class EdgeSet:
         return self.receivers.offsets.diff()[: self.receivers.node_count].to(self.features.dtype)[:, None]
 
     def restrict(self, nodes: Sequence[Span]) -> EdgeSet:
-        """Edges that end in the given spans of receivers, which are renumbered.
+        """Edges whose receivers are in the given index ranges; the receivers are renumbered.
 
-        Senders of the same set must lie in the same spans and are renumbered with them; others keep their numbers.
+        Senders of the same set must be in the same ranges and are renumbered too; others keep their numbers.
 
         Args:
-            nodes: spans of receivers to keep.
+            nodes: index ranges of receivers to keep.
         """
         offsets, limits = self.receivers.offsets, [bound for span in nodes for bound in span]
         ends = offsets[torch.tensor(limits, device=offsets.device)].tolist()
@@ -93,7 +93,7 @@ class Graph:
 
     Args:
         nodes: node sets by name: "garment", and "body" where a body is near.
-        edges: edge sets by name: "mesh", what a network adds ("coarse"), "body_to_garment", "garment_to_body".
+        edges: edge sets by name: "mesh", kinds that a network adds ("coarse"), "body_to_garment", "garment_to_body".
         vertex_offsets: first garment node of each garment, and the total.
         rest: tensors that the network derived once from the garments at rest (`Derived.rest`), by name.
     """

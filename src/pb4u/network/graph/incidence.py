@@ -19,7 +19,7 @@ class Incidence:
         index: (edges,) int64 node at this end of each edge.
         offsets: (nodes + 1,) int64; edges order[offsets[i]:offsets[i + 1]] touch node i.
         order: (edges,) int64 edges in ascending order of their node (the identity where they are stored so).
-        spare: whether the last of the nodes counted by `offsets` is none, but has the edges that are only room.
+        spare: whether the last node of `offsets` is a dummy for unused entries of edges.
     """
 
     index: Tensor
@@ -33,10 +33,10 @@ class Incidence:
         return self.offsets.shape[0] - 1 - self.spare
 
     def restrict(self, edges: Sequence[Span], nodes: Sequence[Span]) -> Incidence:
-        """Incidence of the given spans alone, renumbered.
+        """Incidence of only the given index ranges, renumbered.
 
         Args:
-            edges: spans of edges, each touching exactly the span of nodes beside it.
+            edges: index ranges of edges, each of which touches exactly the corresponding range of nodes.
             nodes: spans of nodes.
         """
         index, order, offsets = [], [], [self.offsets.new_zeros(1)]

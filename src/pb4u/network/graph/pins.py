@@ -11,7 +11,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class SeenGarments:
-    """Positions and velocities that features are made of.
+    """Positions and velocities from which features are computed.
 
     Args:
         positions: (vertices, 3) [m], for normals, body and found edges.
@@ -29,7 +29,7 @@ class SeenGarments:
 
 
 class PinRule(Protocol):
-    """A rule for what is seen of pinned vertices."""
+    """A rule for the positions and velocities of pinned vertices in the features."""
 
     def seen(self, positions: Tensor, velocities: Tensor, pinned: Tensor, targets: Tensor) -> SeenGarments:
         """Positions and velocities that the network reads at the start of a step.
@@ -44,7 +44,7 @@ class PinRule(Protocol):
 
 @dataclass(frozen=True)
 class PinsAtPresent:
-    """Pinned vertices as all others: at their present place, with the velocity that took them there."""
+    """Pinned vertices like all others: at their present position, with their present velocity."""
 
     def seen(self, positions: Tensor, velocities: Tensor, pinned: Tensor, targets: Tensor) -> SeenGarments:
         return SeenGarments(positions, positions, velocities, torch.where(pinned, targets, positions), pinned)
@@ -55,7 +55,7 @@ class PinsAtTarget:
     """Pinned vertices where they will be after the step: the released networks but ContourCraft.
 
     Args:
-        moving: whether they show the velocity that takes them there (MeshGraphNet, HOOD of the paper) or none.
+        moving: whether they have the velocity towards this position (MeshGraphNet, HOOD of the paper) or none.
     """
 
     moving: bool = False
@@ -68,7 +68,8 @@ class PinsAtTarget:
 
 @dataclass(frozen=True)
 class PinsAtTargetInEdges:
-    """Pinned vertices where they will be after the step in mesh and coarse edges alone: the released ContourCraft."""
+    """Pinned vertices at their positions after the step, but only in mesh and coarse edges: the released
+    ContourCraft."""
 
     def seen(self, positions: Tensor, velocities: Tensor, pinned: Tensor, targets: Tensor) -> SeenGarments:
         placed = torch.where(pinned, targets, positions)

@@ -20,10 +20,10 @@ class WorldEdgeRule:
 
     Args:
         radius: largest distance [m] (paper: a threshold; reference 1.4: 3 cm).
-        neighbours: number of the nearest that are taken; 1 in the released code, a large number for all within the
+        neighbours: number of nearest vertices to join; 1 in the released code, a large number for all within the
             radius, as in the paper.
-        whole_body: whether body vertices left out of contact are searched as well, and edges to them dropped, as in the
-            released code: what is nearest to one of them has no edge.
+        whole_body: whether body vertices left out of contact are searched as well and edges to them dropped, as in the
+            released code: a vertex nearest to one of them then has no edge.
 
     Raises:
         InputError: a radius that is not above 0 and finite, or neighbours not from 1 to 64.
@@ -59,13 +59,14 @@ class WorldEdgeRule:
     def batched_pairs(
         self, points: Tensor, body: Tensor, groups: Groups, capacities: Capacities | None
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """The same for all worlds at once and in tensors alone: row of the points, body vertex, and whether filled.
+        """The same for all worlds at once, only with tensors: row of the points, body vertex, and whether the entry is
+        used.
 
         Args:
-            points: (worlds, points, 3) [m]; one that is not finite is near nothing.
+            points: (worlds, points, 3) [m]; points that are not finite have no neighbours.
             body: (vertices, 3) of all bodies [m].
             groups: vertices of each world that may be touched.
-            capacities: fixed numbers of what is found; rows that are not filled come last, at row 0.
+            capacities: fixed array sizes; unused entries come last and point to row 0.
         """
         points, body, count = points.to(torch.float64), body.to(torch.float64), groups.items.shape[1]
         flat, balls = points.reshape(-1, 3), Balls.around(body[groups.items])
@@ -130,7 +131,7 @@ def nearest_within(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tupl
     Nearest first; absent ones are index 0. By a grid on the CPU, by all distances on an accelerator.
 
     Args:
-        points: (points, 3) [m]; one that is not finite is near nothing.
+        points: (points, 3) [m]; points that are not finite have no neighbours.
         targets: (targets, 3) [m], finite.
         rule: radius and number of neighbours.
     """

@@ -41,7 +41,7 @@ def coarse_levels(edges: np.ndarray, rest_positions: np.ndarray, count: int) -> 
 
 
 def level_labels(levels: Sequence[np.ndarray], vertex_count: int) -> np.ndarray:
-    """Number of levels that each vertex has edges on, (vertices,) int64, dimensionless; 0 for the mesh alone.
+    """Number of coarse levels on which each vertex has edges, (vertices,) int64, dimensionless; 0 for none.
 
     Args:
         levels: (edges, 2) int64 vertex indices of each level, from fine to coarse.
@@ -56,8 +56,8 @@ def level_labels(levels: Sequence[np.ndarray], vertex_count: int) -> np.ndarray:
 def graph_centres(graph: csr_matrix, rest_positions: np.ndarray) -> list[int]:
     """Index of a vertex of least eccentricity in every piece that has edges.
 
-    Each search from a vertex bounds how eccentric all others can be (Takes and Kosters 2011): some dozens of searches
-    instead of one a vertex.
+    Each search from a vertex bounds the eccentricity of all others (Takes and Kosters 2011): some dozens of searches
+    instead of one for each vertex.
 
     Args:
         graph: adjacency matrix (vertices, vertices).

@@ -66,7 +66,7 @@ class ContourCraftConfiguration(NetworkConfiguration):
         level: coarse level used besides the mesh; its edges span 2^(level + 1) mesh edges.
         radius: distance [m] within which cloth is joined to itself by edges; 0 for no such edges.
         losses: losses minimised besides the incremental potential.
-        self_edges: rule for the edges between cloth that comes near itself.
+        self_edges: rule for the edges between parts of cloth that are near each other.
         layout: the columns read.
 
     Raises:

@@ -30,14 +30,15 @@ class DirectedSelfEdges:
 
         Args:
             garments: the pack.
-            proximity: search for where each garment is close to itself; not read, as garments of a world meet.
+            proximity: search for parts of one garment close to each other; unused here, since garments of a world touch
+                each other too.
             radius: largest height over a face [m].
         """
         return DirectedProximityEdges(garments, radius)
 
 
 class DirectedProximityEdges:
-    """Directed edges from vertices to the nearest corner of the faces of their world that they stand over.
+    """Directed edges from vertices to the nearest corner of the faces of their world onto which they project.
 
     Args:
         garments: the pack.

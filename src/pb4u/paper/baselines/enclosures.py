@@ -24,10 +24,10 @@ class Enclosures:
     """Vertices that intersection contours enclose, a column a contour.
 
     Args:
-        enclosed: (vertices, columns) bool, vertices on the smaller side of where the surface is cut apart.
-        reached: (vertices, columns) bool, those that belong to the faces touched.
-        touched: (faces, columns) bool, faces that the contour runs through or that hold what is enclosed.
-        at_open: (vertices,) bool, vertices at a contour that cuts nothing apart, as far as the rule counts them.
+        enclosed: (vertices, columns) bool, vertices on the smaller side of the cut surface.
+        reached: (vertices, columns) bool, vertices of the touched faces.
+        touched: (faces, columns) bool, faces that the contour passes through or that have an enclosed vertex.
+        at_open: (vertices,) bool, vertices at a contour that separates nothing, as far as the rule counts them.
     """
 
     enclosed: csr_matrix
@@ -55,7 +55,7 @@ CutOff = Callable[[Contours, Topology], Enclosures]
 
 
 def by_contour(contours: Contours, topology: Topology) -> Enclosures:
-    """Columns are contours; vertices are enclosed where the surface, all of its crossed edges cut, falls apart.
+    """Columns are contours; vertices are enclosed if removing all crossed edges separates them from the surface.
 
     Args:
         contours: contours of what crosses.
@@ -80,10 +80,10 @@ def by_contour(contours: Contours, topology: Topology) -> Enclosures:
 
 
 def by_side(contours: Contours, topology: Topology) -> Enclosures:
-    """Columns are the two surfaces at each contour; each encloses what the other cuts off of it.
+    """Columns are the two surfaces at each contour; each encloses the part that the other cuts off.
 
-    A surface is closed where its edges that cross the other one cut it into exactly two parts; it encloses the smaller.
-    It touches the faces that it pierces, and those that hold a vertex which the other side encloses.
+    If the edges that cross the other surface divide a surface into exactly two parts, it encloses the smaller one.
+    It touches the faces that it pierces, and faces with a vertex that the other side encloses.
 
     Args:
         contours: contours of what crosses.

@@ -40,7 +40,7 @@ class EslrConfiguration(NetworkConfiguration):
     """Configuration of a reconstruction of ESLR; fields that are not listed are as in `NetworkConfiguration`.
 
     Args:
-        layers: number of layers, each one message passing beside one attention.
+        layers: number of layers, each with message passing and attention in parallel.
         landmarks: number of vertices of a garment that attention runs over; 0 for no attention at all.
         heads: number of attention heads; it divides the width.
         geodesic_scale: length that geodesic distances are measured in [m].
@@ -206,9 +206,9 @@ class _Attention(nn.Module):
 def geodesic_landmarks(edges: np.ndarray, rest_positions: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Farthest-point landmarks (count,) int64 and shortest paths along edges to them (vertices, count) float32 [m].
 
-    The first is the vertex farthest from the middle, each next the one farthest from those before, so that every piece
-    gets one while they last. A path that does not exist counts twice the longest that does. Where there are fewer
-    vertices than landmarks, the rest of the landmarks are -1 and infinitely far.
+    The first is the vertex farthest from the middle, each next one the vertex farthest from the landmarks so far, so
+    that every piece gets one if there are enough. A missing path counts as twice the longest existing one. Where there
+    are fewer vertices than landmarks, the rest of the landmarks are -1 and infinitely far.
 
     Args:
         edges: (edges, 2) int64 vertex indices of the mesh.

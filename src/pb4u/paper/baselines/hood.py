@@ -42,7 +42,7 @@ class LevelsByHops:
 
     def __post_init__(self) -> None:
         if not 0 <= self.near < self.far <= 12:
-            raise InputError(f"Coarse levels rise from 0 to at most 12, unlike {self.near} and {self.far}.")
+            raise InputError(f"Coarse levels must rise, from 0 to at most 12; {self.near} and {self.far} do not.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,11 +50,12 @@ class HoodConfiguration(NetworkConfiguration):
     """Configuration of a HOOD; fields that are not listed are as in `NetworkConfiguration`.
 
     Args:
-        repeats: blocks of each of the five stages, one number for all or one each; 3 in the paper, 15 blocks together.
+        repeats: blocks of each of the five stages, one number for all or one for each; 3 in the paper, 15 blocks in
+            total.
         choice: rule for the coarse levels.
         labelled: number of levels, from the finest, that vertices are labelled by; 3 in HOOD's code, None for the two
             that are used.
-        layout: the columns read; coarse edges have those of mesh edges.
+        layout: the feature columns; coarse edges have those of mesh edges.
 
     Raises:
         InputError: a stage without a block, or a number of labelled levels that is not from 1 to 12.
@@ -68,9 +69,9 @@ class HoodConfiguration(NetworkConfiguration):
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(self.blocks_by_stage) != len(SCHEDULE) or min(self.blocks_by_stage) < 1:
-            raise InputError(f"HOOD has {len(SCHEDULE)} stages of 1 block or more each, not {self.repeats}.")
+            raise InputError(f"HOOD must have {len(SCHEDULE)} stages of 1 block or more each, not {self.repeats}.")
         if self.labelled is not None and not 1 <= self.labelled <= 12:
-            raise InputError(f"Vertices are labelled by 1 to 12 coarse levels, not {self.labelled}.")
+            raise InputError(f"Vertices can be labelled with 1 to 12 coarse levels, not {self.labelled}.")
 
     @property
     def blocks_by_stage(self) -> tuple[int, ...]:
@@ -83,7 +84,7 @@ class HoodConfiguration(NetworkConfiguration):
 
 
 class Hood(EncodeProcessDecode):
-    """Network of blocks over one or two levels at a time; every vertex keeps one latent, whatever the level.
+    """Network of blocks over one or two levels at a time; every vertex has one latent for all levels.
 
     Args:
         configuration: width, columns, levels and blocks.

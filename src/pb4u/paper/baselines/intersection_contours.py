@@ -50,7 +50,7 @@ class ContourFinder:
         self._search = CrossingSearch(tree, _MOST)
 
     def find(self, vertices: np.ndarray) -> Contours:
-        """The contours at one instant; what is not finite crosses nothing, and what has collapsed has none.
+        """The contours at one instant; faces that are not finite or have collapsed are ignored.
 
         Args:
             vertices: (vertices, 3) [m].

@@ -25,8 +25,8 @@ class MeshGraphNetConfiguration(NetworkConfiguration):
     """Configuration of a MeshGraphNet; fields that are not listed are as in `NetworkConfiguration`.
 
     Args:
-        blocks: number of blocks, each passing messages one mesh edge further; 15, and 48 for HOOD's reach, in the
-            family's tables.
+        blocks: number of blocks, each of which propagates messages by one mesh edge; 15, and 48 for HOOD's reach, in
+            the family's tables.
         layout: the columns read; absolute edge vectors and lengths by default.
     """
 

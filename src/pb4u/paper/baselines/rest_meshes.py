@@ -23,7 +23,7 @@ class MeshMemory(Generic[T]):
 
     Args:
         derive: called with edges (edges, 2) int64, rest positions (vertices, 3) [m] and the count.
-        remembered: number of results that are kept.
+        remembered: number of cached results.
     """
 
     def __init__(self, derive: Callable[[np.ndarray, np.ndarray, int], T], remembered: int) -> None:
@@ -59,7 +59,7 @@ def levels_of(
         garments: the pack.
         garment: index of the garment.
         count: number of levels.
-        memory: computes them for garments whose file has too few.
+        memory: computes levels for garments whose file has too few.
     """
     levels = garments.garments[garment].coarse_edges
     return list(levels[:count]) if len(levels) >= count else memory.of(garments, garment, count)
@@ -79,7 +79,7 @@ def packed_levels(
         garments: the pack.
         levels: edges (edges, 2) int64 indices of each garment's coarse levels, from fine to coarse, numbered within it.
         kinds: names of the last levels of each garment.
-        labelled: levels of each garment that its vertices are labelled by; the same ones by default.
+        labelled: levels of each garment for the labels of its vertices; by default the same.
     """
     spans = list(pairwise(garments.vertex_offsets))
     labels = [level_labels(level, stop - start) for level, (start, stop) in zip(labelled or levels, spans, strict=True)]

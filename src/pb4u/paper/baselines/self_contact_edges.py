@@ -22,7 +22,7 @@ REPULSION, ATTRACTION = "repulsion", "attraction"
 
 
 def own_proximity(garments: PackedGarments) -> SelfProximity:
-    """Search for places where each garment of a pack is close to itself; edges and losses share one.
+    """Search for parts of each garment of a pack that are close to each other; edges and losses share it.
 
     Args:
         garments: the packed garments.
@@ -31,7 +31,7 @@ def own_proximity(garments: PackedGarments) -> SelfProximity:
 
 
 class SelfProximityEdges:
-    """Edges from vertices to the nearest corner of the faces of their own garment that they stand over.
+    """Edges from vertices to the nearest corner of the faces of their own garment onto which they project.
 
     Args:
         proximity: search of the pack.
@@ -67,7 +67,7 @@ class SelfProximityEdges:
 
 
 def as_points(positions: Tensor) -> np.ndarray:
-    """Positions (vertices, 3) [m] as the searches take them.
+    """Positions (vertices, 3) [m] in the format of the searches.
 
     Args:
         positions: (vertices, 3) [m].
@@ -97,7 +97,7 @@ class Ramp:
 
     Args:
         start: fraction of the training's budget up to which the weight is 0.
-        stop: fraction from which on it is `most`.
+        stop: fraction from which on the weight is `most`.
         most: the full weight, in the unit of the loss that it weighs.
     """
 
@@ -118,7 +118,7 @@ class Ramp:
 
 @dataclass(frozen=True)
 class Repulsion:
-    """Sum over vertices and the faces they stand over of w A_i / A_ref max(eps - s d, 0)^3 [J].
+    """Sum over vertices and the faces onto which they project of w A_i / A_ref max(eps - s d, 0)^3 [J].
 
     d is the height over the face's plane after the step, s its sign before it, so that a vertex stays on its side. The
     vertex area A_i over `reference_area` makes it the same at every resolution, as our collisions are.
@@ -145,7 +145,7 @@ class Repulsion:
             garments: the pack.
             proximity: search for where each garment is close to itself.
             before: (vertices, 3) positions before the step [m].
-            after: (vertices, 3) positions after it [m].
+            after: (vertices, 3) positions after the step [m].
         """
         facing = proximity.find(as_points(before), self.reach)
         outside = ~facing.passed
@@ -164,8 +164,8 @@ class Repulsion:
 class ContourLength:
     """Sum of w times the squared lengths of the segments in which the cloth intersects itself after the step [J].
 
-    Only the places along the edges where they cross faces are differentiated; the ends of the edges are taken as fixed
-    (reference 6.3).
+    Only the positions of the crossings along the edges are differentiated; the ends of the edges are fixed (reference
+    6.3).
 
     Args:
         weight: w [J/m^2].
@@ -183,7 +183,7 @@ class ContourLength:
             garments: the pack.
             proximity: search for where each garment is close to itself.
             before: (vertices, 3) positions before the step [m].
-            after: (vertices, 3) positions after it [m].
+            after: (vertices, 3) positions after the step [m].
         """
         squares, vertices = squared_segment_lengths(proximity.contours, after)
         return squares, garments.vertex_garment[vertices]
@@ -194,7 +194,7 @@ class SelfContactLoss:
     """A loss of self-contact, for the garments of one pack; see `FurtherLoss`.
 
     Args:
-        loss: what is summed over each garment.
+        loss: the term to sum over each garment.
         garments: the pack.
         proximity: search for where each garment is close to itself.
     """

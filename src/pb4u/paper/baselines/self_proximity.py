@@ -27,7 +27,7 @@ _DEEPEST = 128
 
 @dataclass(frozen=True, eq=False)
 class FacingPairs:
-    """Vertices whose foot lies in a face that they are no corner of.
+    """Vertices whose projection lies in a face that does not have them as a corner.
 
     Args:
         vertices: (pairs,) int64.
@@ -43,10 +43,11 @@ class FacingPairs:
 
 
 def facing_pairs(vertices: np.ndarray, tree: SurfaceTree, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertex, face and height [m], (pairs,) each, of all pairs whose foot is in the face; by vertex, then by face.
+    """Vertex, face and height [m], (pairs,) each, of all pairs whose projection is in the face; by vertex, then by
+    face.
 
-    Faces that have the vertex as a corner are left out, and so are those of another world and what is not finite.
-    Nothing is found where some 40 million pairs would have to be looked at: such a cloth has collapsed.
+    Faces that have the vertex as a corner are left out, and so are faces of another world or with positions that are
+    not finite. The result is empty if some 40 million pairs would have to be tested: such a cloth has collapsed.
 
     Args:
         vertices: (vertices, 3) [m].
@@ -88,11 +89,11 @@ def nearest_corners(
 
 
 class SelfProximity:
-    """Finds where a surface is close to itself; what depends on its faces alone is prepared once.
+    """Finds parts of a surface that are close to each other; data that depend only on its faces are prepared once.
 
     Args:
         tree: of the surface.
-        cut_off: rule for what has passed through.
+        cut_off: rule for parts that have passed through.
     """
 
     def __init__(self, tree: SurfaceTree, cut_off: CutOff) -> None:
@@ -101,7 +102,8 @@ class SelfProximity:
         self._cut_off = cut_off
 
     def find(self, vertices: np.ndarray, radius: float) -> FacingPairs:
-        """The pairs that are close at one instant; of a vertex that has passed through, those with what it passed.
+        """The pairs that are close at one instant; for a vertex that has passed through a surface, the pairs with that
+        surface.
 
         Args:
             vertices: (vertices, 3) [m].

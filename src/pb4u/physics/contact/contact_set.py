@@ -32,12 +32,13 @@ class ContactPlanes:
     Args:
         points: (vertices, 3) nearest points of the body [m].
         normals: (vertices, 3) outward unit normals.
-        distance: (vertices,) distance [m] of the position used for the lookup, signed for exact planes; of a vertex out
-            of reach that may be an earlier position.
+        distance: (vertices,) distance [m] at the position of the lookup, signed for exact planes; for a vertex out of
+            reach this may be an earlier position.
         touchable: (vertices,) bool, False where the vertex has no body or is nearest to a region left out of contact.
         triangle: (vertices,) int64 among the contact faces of the packed colliders.
         barycentric: (vertices, 3) of the point in that face.
-        looped: whether loops carry them along, to the bits of torch: a compiled search found them, in float64.
+        looped: whether compiled loops transport them, with the same bits as torch: true for planes of a compiled
+            float64 search.
     """
 
     points: Tensor
@@ -65,7 +66,7 @@ class ContactPlanes:
         return replace(self, points=self.points + heights[:, None] * self.normals, distance=self.distance - heights)
 
     def where(self, rows: Tensor, otherwise: ContactPlanes) -> ContactPlanes:
-        """These planes for the vertices of `rows` (vertices,) bool, those of `otherwise` for the rest.
+        """These planes for the vertices of `rows` (vertices,) bool, and the planes of `otherwise` for the rest.
 
         Args:
             rows: (vertices,) bool.
@@ -79,10 +80,10 @@ class ContactPlanes:
         return ContactPlanes(**chosen)
 
     def transported(self, pose: ColliderPose) -> Tensor:
-        """Positions (vertices, 3) [m] of the nearest points when the bodies take `pose`.
+        """Positions (vertices, 3) [m] of the nearest points when the bodies are at `pose`.
 
         Args:
-            pose: pose that the bodies take.
+            pose: pose of the bodies.
         """
         return self.interpolated(pose.positions, pose.colliders.contact_faces)
 
@@ -100,10 +101,10 @@ class ContactPlanes:
         return (self.barycentric[:, :, None] * corners).sum(1)
 
     def transported_normals(self, pose: ColliderPose) -> Tensor:
-        """Dimensionless unit normals (vertices, 3) of the faces of the nearest points when the bodies take `pose`.
+        """Dimensionless unit normals (vertices, 3) of the faces of the nearest points when the bodies are at `pose`.
 
         Args:
-            pose: pose that the bodies take.
+            pose: pose of the bodies.
         """
         faces = pose.colliders.contact_faces
         if self.looped and _is_plain(pose.positions):
@@ -150,7 +151,7 @@ def _face_normals(triangles: np.ndarray, positions: np.ndarray, faces: np.ndarra
 
 @dataclass(frozen=True, eq=False)
 class ContactSet:
-    """Contacts of one time step, as the energies see them.
+    """Contacts of one time step, as used by the energies.
 
     The solver looks up contacts at frame t once a step, and those at t+1 again for vertices that moved.
 
@@ -158,10 +159,10 @@ class ContactSet:
         now: for each vertex at frame t, the plane of the body that it may slide on, or None.
         next: for each vertex at frame t+1, the plane of the body that it may enter, or None.
         opposite: a second plane for vertices caught between two parts of the body, or None.
-        transported: (vertices, 3) [m] positions of the vertices if the body carried them over the step, or None.
+        transported: (vertices, 3) [m] positions of the vertices if they moved with the body during the step, or None.
         transported_normals: (vertices, 3) the body's unit normals there at t+1, or None.
         cloth: pairs of cloth elements that may feel each other at t+1, or None.
-        cloth_now: those that do at frame t, or None.
+        cloth_now: pairs of cloth elements that touch at frame t, or None.
         obstacle: the bodies at t+1 as cloth may not pass through them, or None.
         raised: heights (vertices,) [m] that the planes are raised by for the cloth between vertices, or None.
     """
@@ -181,7 +182,7 @@ class ContactSet:
         """Contacts known at the start of a step; every finder is called here.
 
         Args:
-            garments: whose vertices they are.
+            garments: the garments with these vertices.
             bodies: around the step, or None.
             x: (vertices, 3) [m] at frame t.
             search: finds the planes of the bodies at frame t.
@@ -217,15 +218,15 @@ def nearest_planes(
 ) -> ContactPlanes:
     """Planes through the exact nearest points of the bodies of each vertex's world.
 
-    A vertex keeps the plane that it had at this pose before where it did not move, or is known to be out of reach yet:
-    its distance changes by no more than its way. The first closest-point query at a pose is exact for all.
+    A vertex keeps its earlier plane of this pose if it did not move, or is certainly still out of reach: its distance
+    changes by at most its displacement. The first closest-point query at a pose is exact for all.
 
     Args:
         pose: the bodies at one instant.
         garments: pack whose vertices are queried.
         x: (vertices, 3) [m].
-        within: distance [m] from which on a vertex need only be known to be so far.
-        patience: way [m] that a vertex may have gone since it was queried.
+        within: distance [m] beyond which the exact distance of a vertex does not matter.
+        patience: largest displacement [m] of a vertex since its query.
     """
     if _compiled(pose):
         return _of_found(_renewed(pose, garments, x, within, patience), x)

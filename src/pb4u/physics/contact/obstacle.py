@@ -30,15 +30,15 @@ _STRETCHED = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """The bodies on their way over a step; their vertices are numbered on from those of the cloth.
+    """The bodies moving during a step; their vertices are numbered after those of the cloth.
 
     Args:
         tree: search among cloth and bodies.
         areas: (body vertices,) [m^2].
-        before: (body vertices, 3) [m] where they begin.
+        before: (body vertices, 3) [m] at the start of the step.
         after: (body vertices, 3) [m] where they end.
-        passed: (vertices + body vertices,) bool of the cloth that they are let through: where they are through it
-            already, or leave it no room.
+        passed: (vertices + body vertices,) bool, elements whose contact is ignored because the body has already passed
+            through the cloth, or leaves it no room.
     """
 
     tree: SurfaceTree
@@ -49,7 +49,7 @@ class Obstacle:
 
     @staticmethod
     def over(garments: PackedGarments, bodies: ColliderFrame | None, x: Tensor) -> Obstacle | None:
-        """The bodies on their way over a step, let through what they are through at its start; None without a body.
+        """The bodies moving during a step, ignoring contacts already violated at its start; None without a body.
 
         Args:
             garments: static quantities.
@@ -61,7 +61,7 @@ class Obstacle:
 
     @staticmethod
     def at(garments: PackedGarments, pose: ColliderPose, x: Tensor) -> Obstacle | None:
-        """The bodies standing still, let through what they are through; None where nothing of them may be touched.
+        """The bodies at rest, ignoring contacts already violated; None if no part of them may be touched.
 
         Args:
             garments: static quantities.
@@ -96,7 +96,7 @@ class Obstacle:
         return self.after - self.before
 
     def standing(self, passed: np.ndarray) -> Obstacle:
-        """The bodies where they end, let through what they have `passed` (vertices + body vertices,) by then.
+        """The bodies at the end of the step, ignoring contacts with `passed` (vertices + body vertices,).
 
         Args:
             passed: (vertices + body vertices,) bool.
@@ -122,7 +122,7 @@ def _noted(
 
 
 def sags(garments: PackedGarments, planes: ContactPlanes) -> Tensor:
-    """Heights (vertices,) [m] kept over the body besides the usual, so that the cloth between vertices clears it.
+    """Additional heights (vertices,) [m] over the body, so that the cloth between vertices clears it.
 
     A chord of length L between two points of a round body whose normals differ by an angle t dips by L t / 8 below it,
     the middle of a face by L t / 6.

@@ -47,9 +47,9 @@ class FaceClearance:
 
     Args:
         clearance: distance that the cloth keeps from the surface [m].
-        passes: most passes, since a lifted vertex lifts what is beside it too; clothes of 2,500 and 11,000 triangles
-            need two to six.
-        most_stretch: length over the length at rest up to which an edge is stretched by it. Straps over a shoulder
+        passes: largest number of passes, since a lifted vertex also lifts its neighbours; clothes of 2,500 and 11,000
+            triangles need two to six.
+        most_stretch: largest ratio of an edge's length after the lift to its rest length. Straps over a shoulder
             and sleeves of 2,500 triangles over a raised elbow need 1.55 to 1.7; what asks for more has a limb through
             it, and is not covered by pulling.
     """
@@ -65,7 +65,7 @@ class FaceClearance:
             garments: static quantities.
             state: to be cleaned.
             pose: the bodies at the state's frame.
-            cloth: keeps the move from taking cloth through cloth.
+            cloth: keeps the displacement free of collisions of cloth with cloth.
         """
         if not _touched(garments, pose):
             return state
@@ -76,9 +76,9 @@ class FaceClearance:
         return replace(state, positions=self._without_harm(garments, pose, state.positions, lifted, planes, cloth))
 
     def pins_clear(self, garments: PackedGarments, pose: ColliderPose, x: Tensor) -> Tensor:
-        """Positions (vertices, 3) [m] with pinned vertices, and what lies between them, moved out of the bodies.
+        """Positions (vertices, 3) [m] with pinned vertices, and elements between them, moved out of the bodies.
 
-        A pin that this would take deeper into another part of a body stays where it is.
+        A pin that would get deeper into another part of a body is not moved.
 
         Args:
             garments: static quantities.

@@ -22,9 +22,9 @@ def vertices_within(
 
     Args:
         vertices: (vertices, 3) [m].
-        faces: (faces, 3); vertices of none are left out.
+        faces: (faces, 3); vertices without a face are left out.
         low: (3,) [m] lowest corner of the box.
-        high: (3,) [m] highest one.
+        high: (3,) [m] highest corner.
     """
     inside = np.empty(len(vertices), dtype=np.bool_)
     for row in range(len(vertices)):
@@ -55,10 +55,10 @@ def vertices_within(
 
 @compiled
 def carry_found(found: Found, went: np.ndarray, x: np.ndarray, faces: np.ndarray) -> None:
-    """Forget what was found of the faces that went, and keep where it lies on them now.
+    """Discard results for faces that moved, and store the present positions of these.
 
     Args:
-        found: on the faces; changed.
+        found: results on the faces; changed.
         went: (faces,) bool.
         x: (vertices, 3) [m] where the vertices are now.
         faces: (faces, 3).
@@ -88,7 +88,7 @@ def add_lifts(
 
     Args:
         direction: (vertices, 3) [m] all lifts of a vertex summed; added to.
-        size: (vertices,) [m] the largest of them; raised.
+        size: (vertices,) [m] the largest lift; raised.
         corners: (points, corners) of the points.
         shares: (points, corners) with which the positions of the corners sum to a point.
         heights: (points,) [m] of the lifts.
@@ -109,15 +109,15 @@ def add_lifts(
 def cut_back(
     before: np.ndarray, lifted: np.ndarray, shares: np.ndarray, edges: np.ndarray, longest: np.ndarray
 ) -> np.ndarray:
-    """Positions (vertices, 3) [m] some shares of the way of a lift.
+    """Positions (vertices, 3) [m] after shares of a lift.
 
-    Ends of edges that would be stretched too far, and beyond what they were, go half as far, and so on; in the end they
-    stay where they were, and so do those that this would tear, until none is.
+    The share of vertices at edges that would be stretched too far, and more than before, is halved repeatedly and
+    finally set to 0, until no such edge is left.
 
     Args:
-        before: (vertices, 3) [m] where it begins.
+        before: (vertices, 3) [m] at the start of the lift.
         lifted: (vertices, 3) [m] where it leads.
-        shares: (vertices,) of the way that each vertex goes; changed.
+        shares: (vertices,) of the lift for each vertex; changed.
         edges: (edges, 2).
         longest: (edges,) [m] lengths to which they may be stretched.
     """
@@ -152,8 +152,8 @@ def move_vertices(x: np.ndarray, direction: np.ndarray, size: np.ndarray, movabl
 
     Args:
         x: (vertices, 3) [m]; changed.
-        direction: (vertices, 3) [m] as it is gathered there.
-        size: (vertices,) [m] as it is gathered there.
+        direction: (vertices, 3) [m] sum gathered there.
+        size: (vertices,) [m] maximum gathered there.
         movable: (vertices,) bool.
         largest: displacement [m] of a vertex at most.
     """

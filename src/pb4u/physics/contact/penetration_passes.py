@@ -20,9 +20,9 @@ class Body(NamedTuple):
     Args:
         searched: its surface.
         names: (faces,) int64 what answers call each face.
-        skin_faces: number of faces that are skin; those named after them are caps.
+        skin_faces: number of faces that are skin; the faces after them are caps.
         points: (vertices, 3) [m] nearest points of the surface to the vertices of the cloth.
-        distances: (vertices,) [m] from there.
+        distances: (vertices,) [m] from these points.
     """
 
     searched: Searched
@@ -44,7 +44,7 @@ class Cloth(NamedTuple):
         bottoms: as in `Searched`.
         levels: of its tree.
         first: its first vertex.
-        stop: vertex after its last.
+        stop: vertex after its last one.
     """
 
     faces: np.ndarray
@@ -98,15 +98,15 @@ def lifted_off(
     cloth: Cloth,
     limits: tuple[float, int, float],
 ) -> np.ndarray:
-    """Positions (vertices, 3) [m] of the cloth of all worlds, that of one moved off its body.
+    """Positions (vertices, 3) [m] of the cloth of all worlds, with the cloth of one world moved off its body.
 
-    In every pass the vertices, the middles of edges and faces, and the skin that cloth has to cover are looked at where
-    the cloth is, and then moved together.
+    Every pass tests the vertices, the midpoints of edges and faces, and the skin that cloth has to cover, and then
+    moves them together.
 
     Args:
         before: (vertices, 3) [m].
         movable: (vertices,) bool.
-        between: only elements between movable vertices are looked at.
+        between: test only elements between movable vertices.
         elements: (vertices, 1), (edges, 2) and (faces, 3) int64 of the cloth.
         sag: (vertices,) [m] added to the clearance for edges and faces.
         skin: (places, 3) [m] on the skin, and its unit normals there.

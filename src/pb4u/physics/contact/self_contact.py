@@ -50,9 +50,9 @@ class ClothPairs:
 
     Args:
         pairs: vertex and face, and edge and edge.
-        gaps: (pairs,) [m] that they never come within.
-        reaches: (pairs,) [m] at which they begin to feel each other.
-        areas: (pairs,) [m^2] of cloth that each pair stands for.
+        gaps: (pairs,) [m] smallest allowed distances.
+        reaches: (pairs,) [m] distances below which they repel each other.
+        areas: (pairs,) [m^2] of cloth represented by each pair.
         parallels: (pairs,) squared cross product [m^4] below which two edges count as parallel; 0 for the others.
         obstacle: the bodies, or None.
     """
@@ -74,13 +74,13 @@ class ClothPairs:
         known: ClothPairs | None = None,
         obstacle: Obstacle | None = None,
     ) -> ClothPairs:
-        """All pairs that come within `reach` on the way along `moves`.
+        """All pairs that come within `reach` during the displacement `moves`.
 
         Args:
-            garments: whose elements they are.
+            garments: the garments with these elements.
             x: (vertices, 3) [m].
-            moves: (vertices, 3) [m] from there, linear; None for none.
-            before: (vertices, 3) [m] positions that cross nowhere, as the step began.
+            moves: (vertices, 3) [m] linear displacements from these positions; None for none.
+            before: (vertices, 3) [m] positions without crossings, at the start of the step.
             reach: distance [m].
             known: pairs of positions a little before these, or None.
             obstacle: the bodies, which move while the cloth does; None for none.
@@ -115,7 +115,7 @@ class ClothPairs:
 
         Args:
             x: (vertices, 3) float64 [m].
-            before: whether the bodies are where they begin, not where they end.
+            before: whether to take the bodies at the start of the step, not at its end.
         """
         if self.obstacle is None:
             return x
@@ -130,7 +130,7 @@ class ClothPairs:
         return _sides(self.pairs.corners, vertex_count)
 
     def touching(self, x: Tensor) -> TouchingCloth | None:
-        """Those of the pairs that feel each other at `x` (vertices, 3) [m], or None; bodies are where they begin.
+        """The pairs that repel each other at `x` (vertices, 3) [m], or None; with bodies at the start of the step.
 
         Args:
             x: (vertices, 3) [m].
@@ -206,17 +206,17 @@ def _sides(corners: np.ndarray, vertex_count: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class TouchingCloth:
-    """Pairs of cloth elements that feel each other at one instant.
+    """Pairs of cloth elements that repel each other at one instant.
 
     Args:
         corners: (pairs, 4) int64.
         weights: (pairs, 4) with which the corners sum to the vector between the nearest points.
         normals: (pairs, 3) unit vectors along it.
         distances: (pairs,) [m].
-        gaps: (pairs,) [m] that they never come within.
-        reaches: (pairs,) [m] at which they begin to feel each other.
-        areas: (pairs,) [m^2] of cloth that each pair stands for, less of edges that are nearly parallel.
-        carried: (pairs, 3) [m] slip over the step by the motion of bodies alone.
+        gaps: (pairs,) [m] smallest allowed distances.
+        reaches: (pairs,) [m] distances below which they repel each other.
+        areas: (pairs,) [m^2] of cloth represented by each pair, less for edges that are nearly parallel.
+        carried: (pairs, 3) [m] slip during the step caused by the motion of bodies alone.
         sides: (pairs, 2) int64 a vertex of each element, of bodies that of the other.
     """
 
@@ -243,8 +243,8 @@ class CollisionFree:
     """Cloth stays apart from cloth, within a garment and between the garments of a world.
 
     Args:
-        reach: distance [m] at which elements begin to feel each other.
-        feels_bodies: whether cloth stays apart from bodies too, but for what they leave no room.
+        reach: distance [m] below which elements repel each other.
+        feels_bodies: whether cloth stays apart from bodies too, except where they leave it no room.
         pressed_by_bodies: whether their faces and edges press it.
     """
 
@@ -261,7 +261,7 @@ class CollisionFree:
         known: ClothPairs | None = None,
         obstacle: Obstacle | None = None,
     ) -> ClothPairs:
-        """Pairs that feel each other somewhere on the way along `moves`, as in `ClothPairs.along`.
+        """Pairs that repel each other somewhere along the displacement `moves`, as in `ClothPairs.along`.
 
         Args:
             garments: the packed garments.
@@ -283,20 +283,20 @@ class CollisionFree:
         obstacle: Obstacle | None = None,
         apart: bool = False,
     ) -> tuple[Tensor, Obstacle | None]:
-        """Positions (vertices, 3) [m] near `wanted` that are reached without cloth passing through cloth or a body.
+        """Positions (vertices, 3) [m] near `wanted` that cloth reaches without passing through cloth or a body.
 
-        Gives back `wanted` itself where no cloth touches, and the obstacle standing where it ended, let through what
-        it left no room.
+        Returns `wanted` itself if no cloth touches, and the obstacle at the end of the step, ignoring contacts for
+        which it leaves no room.
 
         Args:
             garments: static quantities.
             before: (vertices, 3) [m] that cross nowhere.
             wanted: (vertices, 3) [m].
-            cloth: all pairs that may touch on the way, where they were queried already.
-            held: (vertices,) bool, of which none gives way to what meets it, as no pinned vertex does; None for none.
+            cloth: all pairs that may touch during the move, if they were found before.
+            held: (vertices,) bool, vertices that collisions do not move, like pinned ones; None for none.
             obstacle: the bodies, which move while the cloth does; None for none.
-            apart: whether cloth is known to come to `wanted` from `before`, by whatever way, without touching cloth:
-                only what the bodies turn aside is looked at for that again.
+            apart: whether cloth is known to reach `wanted` from `before` without touching cloth: then only cloth that
+                the bodies deflect is tested for this again.
         """
         masses = garments.impulse_masses
         if held is not None:
@@ -315,11 +315,11 @@ class CollisionFree:
         return reached, obstacle.standing(passed)
 
     def shares(self, garments: PackedGarments, cloth: ClothPairs | None, x: Tensor, moves: Tensor) -> Tensor:
-        """Shares (worlds,) in [0, 1] of linear `moves` that each world may take.
+        """Shares (worlds,) in [0, 1] of the linear displacements `moves` that each world can make without collision.
 
         Args:
             garments: static quantities.
-            cloth: all pairs that may touch on the way.
+            cloth: all pairs that may touch during the move.
             x: (vertices, 3) [m] that cross nowhere.
             moves: (vertices, 3) [m].
         """

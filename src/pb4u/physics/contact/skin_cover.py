@@ -18,12 +18,13 @@ _ALONG_NORMAL = 0.5
 
 @dataclass(frozen=True, eq=False)
 class SkinCover:
-    """The cloth nearest to places on the skin.
+    """The cloth nearest to points on the skin.
 
     Args:
         heights: (places,) [m] of the cloth over the skin, along its normal; negative beneath it.
         distances: (places,) [m] to the cloth.
-        belongs: (places,) bool, whether the cloth lies along the normal and faces its way, not at its own border.
+        belongs: (places,) bool, whether the cloth lies along the normal and has a similar normal, not at a border of
+            the cloth.
         faces: (places,) int64 of the cloth.
         barycentric: (places, 3) of the nearest point in that face.
     """
@@ -36,11 +37,11 @@ class SkinCover:
 
     @staticmethod
     def at(places: np.ndarray, normals: np.ndarray, cloth: PosedSurface) -> SkinCover:
-        """The cover of some places.
+        """The cover of given points of the skin.
 
         Args:
             places: (places, 3) on the skin [m].
-            normals: (places, 3) outward unit normals of it.
+            normals: (places, 3) outward unit normals of the skin.
             cloth: all garments that may cover it.
         """
         near = cloth.nearest(places)
@@ -52,7 +53,7 @@ class SkinCover:
 
     @property
     def shown(self) -> np.ndarray:
-        """Places (places,) bool that show where cloth should cover them."""
+        """Mask (places,) bool of points that show although cloth should cover them."""
         return self.belongs & (self.heights < 0.0) & (self.distances < SKIN_OVER_CLOTH)
 
 
@@ -63,7 +64,7 @@ def described(
     """Heights, distances and whether the cloth belongs to the skin, as in `SkinCover`.
 
     Args:
-        found: of the cloth: nearest face, nearest point [m], and whether that is on its border.
+        found: nearest face of the cloth, nearest point [m], and whether it is on the border.
         places: (places, 3) [m] on the skin.
         normals: (places, 3) unit normals of the skin.
         vertices: (vertices, 3) [m] of the cloth.

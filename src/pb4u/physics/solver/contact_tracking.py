@@ -33,11 +33,11 @@ _ROUNDING = 1e-9
 
 
 def moved_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
-    """Positions in which vertices that the body passed over are moved off it, in every world whose energy falls.
+    """Positions with vertices that the body has passed moved off it, in every world where this lowers the energy.
 
     Args:
         potential: potential of the step.
-        x: (vertices, 3) [m] at its end, pinned vertices where they will be; these are left there.
+        x: (vertices, 3) [m] at the end of the step, with pinned vertices at their targets, where they stay.
     """
     step, planes = potential.step, potential.contacts.now
     garments, bodies = step.garments, step.bodies
@@ -66,13 +66,13 @@ def moved_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
 class TrackedContact:
     """The bodies near each vertex, as tangent planes renewed at each iteration.
 
-    Only vertices that may have come near are queried. A vertex whose nearest point jumps to another part of the body
-    (cloth caught in an armpit) keeps the plane that it left as a second one: with the nearest alone it would be thrown
-    to and fro for ever.
+    Only vertices that may have come near the body are queried. A vertex whose nearest point jumps to another part of
+    the body (cloth caught in an armpit) keeps its previous plane as a second one: with the nearest one alone it would
+    oscillate for ever.
 
     Args:
         potential: potential of the step.
-        start: (vertices, 3) [m] where the iterations begin.
+        start: (vertices, 3) [m] start of the iterations.
     """
 
     def __init__(self, potential: StepPotential, start: Tensor) -> None:
@@ -85,7 +85,7 @@ class TrackedContact:
         """The potential with the bodies near `x` frozen to their tangent planes.
 
         Args:
-            x: (vertices, 3) [m] at which an iteration begins.
+            x: (vertices, 3) [m] at the start of an iteration.
         """
         planes, step = self._planes, self._potential.step
         if planes is None or step.bodies is None:

@@ -10,7 +10,7 @@ from pb4u.scene.packed import PackedGarments
 
 
 class JacobiDescent:
-    """Moves every vertex on its own down the gradient, divided by its inertia and its membrane stiffness at rest.
+    """Moves every vertex separately against the gradient divided by its inertia and its membrane stiffness at rest.
 
     Args:
         garments: static quantities.
@@ -27,14 +27,14 @@ class JacobiDescent:
 
         Args:
             potential: the potential that is descended.
-            x: (vertices, 3) [m] positions at which its gradient is taken.
+            x: (vertices, 3) [m] positions at which to take the gradient.
         """
         _, gradient = potential.energies_and_gradient(x)
         return -gradient * self._compliance
 
 
 def membrane_stiffness(garments: PackedGarments) -> Tensor:
-    """Mean in-plane stiffness (vertices,) [N/m] against moving one vertex of the garments at rest alone.
+    """Mean in-plane stiffness (vertices,) [N/m] against moving a single vertex of the garments at rest.
 
     Half the trace of the second derivative of the stretch energy at F = 1, in the mean over directions: a face adds
     A ((c11 + c22) / 4 + c33 / 2) times the squared gradient of the corner's shape function.

@@ -23,7 +23,7 @@ def substep_count(step: TimeStep, largest_motion: float = LARGEST_MOTION) -> int
 
     Args:
         step: the time step.
-        largest_motion: how far [m] such a part may move in one of them.
+        largest_motion: largest displacement [m] of such a part in one step.
     """
     planes, bodies = step.contacts.now, step.bodies
     if planes is None or bodies is None:
@@ -36,7 +36,7 @@ def substep_count(step: TimeStep, largest_motion: float = LARGEST_MOTION) -> int
 
 
 def free_flight(step: TimeStep) -> Tensor:
-    """Positions (vertices, 3) [m] where every vertex keeps its velocity, pinned ones in their places.
+    """Positions (vertices, 3) [m] if every vertex keeps its velocity, with pinned ones at their targets.
 
     Args:
         step: the time step.
@@ -53,7 +53,7 @@ def implicit_steps(
 ) -> tuple[State, Solution]:
     """The state at the end of `step`, and the solution of its last implicit step.
 
-    With the iterations of all of them, and converged where all are.
+    The solution has the iterations of all parts, and is converged if all are.
 
     A body that moves far in the step is moved along straight lines in several implicit steps.
 
@@ -77,7 +77,7 @@ def in_parts(step: TimeStep, count: int, solve: Callable[[TimeStep], Solution]) 
     Args:
         step: the time step.
         count: number of parts.
-        solve: solves one of them.
+        solve: solves one part.
     """
     state, iterations, converged = step.state, 0, True
     for k in range(count):

@@ -23,7 +23,7 @@ class LinearSolution:
 
     Args:
         solution: (vertices, 3) [m], approximate.
-        iterations: products with the matrix made.
+        iterations: number of products with the matrix.
         negative: (vertices, 3) [m] a direction along which the matrix is not positive, or None.
     """
 
@@ -52,7 +52,7 @@ def conjugate_gradient(
         preconditioner: gives an approximate solution for a residual.
         tolerance: relative, in the norm of the preconditioner.
         max_iterations: products after which it stops.
-        start: (vertices, 3) [m] a solution of a system near this one; 0 by default.
+        start: (vertices, 3) [m] solution of a similar system; 0 by default.
     """
     solution, negative = np.empty(right.shape), np.empty(right.shape)
     iterations, is_negative = _iterate(

@@ -81,10 +81,10 @@ class Solution:
         struck: (vertices,) bool where contact pushes there.
         residual: rms over the free vertices of a world of the unbalanced acceleration of implicit Euler's inertia, in
             units of standard gravity; of the world where it is largest.
-        iterations: Newton iterations made.
+        iterations: number of Newton iterations.
         converged: whether the residual is below the tolerance.
-        decrease: energy decrease of the last iteration, promised or found, as the height [m] to which it would lift the
-            garments, of the world where it is largest; infinite where no iteration was made.
+        decrease: energy decrease of the last iteration, the larger of predicted and actual, as the height [m] to which
+            it would lift the garments, in the world where it is largest; infinite without an iteration.
     """
 
     positions: Tensor
@@ -102,8 +102,8 @@ class Iteration:
 
     Args:
         number: counted from 0.
-        total: energy before it [J].
-        residual: before it, as in `Solution`.
+        total: energy before the iteration [J].
+        residual: before the iteration, as in `Solution`.
     """
 
     number: int
@@ -119,8 +119,8 @@ class Solver:
     Args:
         tolerance: rms(M^-1 gradient) in units of standard gravity at which a step counts as solved.
         max_iterations: Newton iterations after which it stops in any case.
-        settled: an iteration whose energy decrease is below this height [m] is the last; 0 for no such end.
-        least: iterations that it makes in any case where something is out of balance at all.
+        settled: stop after an iteration whose energy decrease is below this height [m]; 0 for no such limit.
+        least: smallest number of iterations unless forces are exactly balanced.
     """
 
     def __init__(
@@ -143,15 +143,15 @@ class Solver:
         watch: Callable[[Iteration], None] | None = None,
         until: Callable[[Tensor], bool] | None = None,
     ) -> Solution:
-        """Minimise `potential` from `start`; pinned vertices stay where they are.
+        """Minimise `potential` from `start`; pinned vertices do not move.
 
         Args:
             potential: potential of the step.
             start: (vertices, 3) float64 [m] any prediction, pinned vertices where they will be.
             iterations: Newton iterations after which it stops; `max_iterations` by default.
             watch: called before every iteration, and at the end.
-            until: asked after every iteration of the positions (vertices, 3) [m]; the iteration of which it is true is
-                the last.
+            until: called after every iteration with the positions (vertices, 3) [m]; the solver stops when it returns
+                true.
 
         Raises:
             DivergedError: `start` or its energy is not finite.

@@ -40,7 +40,7 @@ _SMOOTHING_STEPS = 2
 
 
 class PatchBasis:
-    """Affine motions of patches of each garment, made once from its rest shape.
+    """Affine motions of patches of each garment, computed once from its rest shape.
 
     Args:
         garments: static quantities on the CPU.
@@ -175,8 +175,8 @@ class TwoLevelPreconditioner:
 class AgeingPreconditioner:
     """The preconditioner of some garments: its diagonal is always new, its patches when they have aged.
 
-    Patches serve several time steps, for the cloth hangs much as it did; they are made again once linear solves take
-    longer than they did with new ones.
+    Patches are reused for several time steps, since the cloth changes little; they are recomputed once linear solves
+    take longer than with new ones.
 
     Args:
         basis: patch motions.
@@ -197,11 +197,11 @@ class AgeingPreconditioner:
         return self._current
 
     def update(self, matrix: SymmetricBlocks, pairs: PairStiffness) -> None:
-        """Recompute what has aged.
+        """Recompute outdated parts.
 
         Args:
             matrix: new stiffness.
-            pairs: contacts between cloth elements, added to it.
+            pairs: contacts between cloth elements, to add to the matrix.
         """
         if self._current is None:
             self._current = TwoLevelPreconditioner(self._basis, matrix, pairs, self._free)
@@ -213,7 +213,7 @@ class AgeingPreconditioner:
             self._age = 0
 
     def served(self, iterations: int) -> None:
-        """Take note of the iterations of a linear solve.
+        """Record the iterations of a linear solve.
 
         Args:
             iterations: number of iterations.

@@ -19,18 +19,18 @@ def factors(moves: Tensor, size: float, garments: PackedGarments) -> Tensor:
     Args:
         moves: (vertices, 3) float64 [m].
         size: [m].
-        garments: whose vertices they are.
+        garments: the garments with these vertices.
     """
     largest = torch.from_numpy(_longest(moves.numpy(), np.asarray(garments.world_offsets)))
     return torch.where(largest > 1e-12 * largest.max(), torch.full_like(largest, size) / largest, 0.0)
 
 
 def each_vertex(values: Tensor, garments: PackedGarments) -> Tensor:
-    """Of each vertex (vertices, 1) the one of `values` (worlds,) that is its world's; of one world (1, 1).
+    """For each vertex (vertices, 1) the entry of `values` (worlds,) of its world; for one world (1, 1).
 
     Args:
         values: (worlds,) of any unit.
-        garments: whose vertices they are.
+        garments: the garments with these vertices.
     """
     return values[:, None] if len(values) == 1 else values[garments.vertex_world, None]
 
@@ -40,7 +40,7 @@ def sums(values: Tensor, garments: PackedGarments) -> Tensor:
 
     Args:
         values: (vertices, 3) of any unit.
-        garments: whose vertices they are.
+        garments: the garments with these vertices.
     """
     return torch.stack([values[rows].sum() for rows in garments.world_vertices])
 

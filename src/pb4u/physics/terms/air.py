@@ -82,8 +82,8 @@ class Air(EnergyTerm):
     rho is the density of the air [kg/m^3], A the rest area of the face [m^2], u the velocity of its centre over the
     step less that of the air [m/s], u_n its part along the face's normal at the start of the step and u_t the rest: the
     force on the face is -rho A (Cd |u_n| u_n + Cf |u_t| u_t) / 2 [N].
-    What an inclined face feels along its normal is drag and lift at once. The air within 3 cm of skin moves along with
-    it, the more the nearer: there both coefficients fall, to zero at 1 cm.
+    What an inclined face feels along its normal is drag and lift at once. Air within 3 cm of the skin moves along with
+    it: both coefficients fall to zero from 3 to 1 cm.
 
     Args:
         pressure: Cd, of flow along the normal; 1.2 of a plate held across it (Hoerner, Fluid-Dynamic Drag, 1965).
@@ -143,7 +143,7 @@ def air_velocities(environment: Environment, points: Tensor, time: float) -> Ten
     Args:
         environment: its wind and the seed of its gusts.
         points: (points, 3) [m].
-        time: since the simulation began [s].
+        time: since the start of the simulation [s].
     """
     wind = points.new_tensor(environment.wind)
     if environment.gusts is None or not any(environment.wind):

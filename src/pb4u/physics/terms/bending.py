@@ -94,7 +94,7 @@ def bends(garments: PackedGarments, x: Tensor) -> Tensor:
     """Length times dihedral angle (hinges,) [m] at x (vertices, 3) [m].
 
     Args:
-        garments: whose hinges they are.
+        garments: the garments with these hinges.
         x: (vertices, 3) [m].
     """
     tiny = 1e-30 if x.dtype == torch.float64 else 1e-20
@@ -109,7 +109,7 @@ def hinge_stiffness(garments: PackedGarments) -> Tensor:
     """k / (4 (A1 + A2)) (hinges,) [J/m^2].
 
     Args:
-        garments: whose hinges they are.
+        garments: the garments with these hinges.
     """
     return garments.bending / (4.0 * garments.hinge_areas)
 
@@ -120,7 +120,7 @@ def hinge_record(garments: PackedGarments, stiffness: Tensor, unbent: np.ndarray
     Args:
         garments: the packed garments.
         stiffness: (hinges,) [J/m^2].
-        unbent: (hinges,) l theta [m] at which a hinge bends back with no force, or one for all.
+        unbent: (hinges,) l theta [m] of hinges without a bending force, or one value for all.
     """
     numbers = rows(len(garments.hinges), as_float64(stiffness), unbent)
     return Record(garments.hinges.numpy(), garments.hinge_garment.numpy(), numbers)

@@ -24,14 +24,14 @@ from pb4u.scene.packed import PackedGarments
 class ClothContact(EnergyTerm):
     """Sum over pairs of cloth elements of kappa A_p h_p m_p b(s_p) [J], b(s) = -(1 - s)^2 ln s for s < 1.
 
-    s_p = (d_p - g_p) / h_p with d_p the distance of the two elements [m], g_p the gap that they keep and h_p what is
-    between it and the distance at which they begin to feel each other; m_p is 1, and for two edges falls to 0 where
-    they are parallel. Source: the barrier of Incremental Potential Contact (Li et al. 2020) with an offset, as for the
-    thickness of Codimensional IPC (Li et al. 2021).
+    s_p = (d_p - g_p) / h_p with d_p the distance of the two elements [m], g_p their smallest gap and h_p the difference
+    between it and the distance below which they repel each other; m_p is 1, and for two edges falls to 0 where they are
+    parallel. Source: the barrier of Incremental Potential Contact (Li et al. 2020) with an offset, as for the thickness
+    of Codimensional IPC (Li et al. 2021).
 
     Args:
-        stiffness: kappa [Pa]; cloth of 200 g/m^2 presses the one under it with 2 Pa, and comes to rest within a tenth
-            of h_p; a pinch of a kilopascal leaves half of it.
+        stiffness: kappa [Pa]; cloth of 200 g/m^2 presses the cloth under it with 2 Pa, and then at least nine tenths of
+            h_p are left; under a kilopascal half of it is left.
     """
 
     stiffness: float = 1e3
@@ -55,7 +55,7 @@ class ClothContact(EnergyTerm):
             _add_barrier(cloth.joined(x), *_law(cloth), self.stiffness, owners, energies, gradient)
 
     def pair_stiffness(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> PairStiffness | None:
-        """Second derivative along the line between the nearest points; what turning adds is left out.
+        """Second derivative along the line between the nearest points; the part from its rotation is left out.
 
         Args:
             step: the time step.
@@ -90,7 +90,7 @@ class ClothFriction(EnergyTerm):
 
     Args:
         smoothing: slip speed below which the elements stick [m/s].
-        contact: whose force presses them together.
+        contact: contact term whose force presses them together.
     """
 
     smoothing: float = 1e-3

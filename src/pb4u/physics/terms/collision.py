@@ -80,7 +80,7 @@ class Collision(EnergyTerm):
 
     Args:
         weight: w [J/m^3]; the family trains with 5e3 to 5e5 and evaluates with 5e3.
-        clearance: eps, the distance at which it begins [m].
+        clearance: eps, the distance below which it acts [m].
     """
 
     weight: float = 5e3

@@ -36,7 +36,7 @@ class ElementLoops(NamedTuple):
 
     Args:
         add: called with vertices (vertices, 3) [m], the three fields of a `Record`, energies (garments,) [J] and a
-            gradient (vertices, 3) [N], or one without rows; adds to both.
+            gradient (vertices, 3) [N], which may have no rows; adds to both.
         add_stiffness: called with vertices, corners, numbers, the places (elements, corner pairs) of the blocks, and
             both parts of a `Stiffness`, to which it adds.
     """
@@ -46,7 +46,7 @@ class ElementLoops(NamedTuple):
 
 
 def element_loops(law: Callable[..., float], corner_count: int) -> ElementLoops:
-    """Compile the loops of a term from what it computes for one element.
+    """Compile the loops of a term from its law for one element.
 
     `law(x, corners, numbers, element, wanted, forces, blocks, factors)` returns the energy [J] of one element, whose
     numbers are the row `element`. Where GRADIENT is wanted it fills `forces` (corners, 3), dE/dx [N]; where SECOND is,
@@ -54,7 +54,7 @@ def element_loops(law: Callable[..., float], corner_count: int) -> ElementLoops:
     part, its multiples `factors` (corner pairs,) [N/m] of the identity.
 
     Args:
-        law: of one element.
+        law: the function of one element.
         corner_count: vertices of an element.
     """
     pair_count = len(corner_pairs(corner_count))

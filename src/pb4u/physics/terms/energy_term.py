@@ -38,7 +38,7 @@ class EnergyTerm(ABC):
         name: by which results and tables refer to it.
         loops: its compiled loops; None for a term without: torch computes it everywhere.
         reads_contacts: whether its `records` read the contacts at a step's start.
-        pushes_apart: whether its forces are those that change velocities at once where cloth meets something.
+        pushes_apart: whether it is a contact force, which changes velocities abruptly.
     """
 
     name: str
@@ -85,7 +85,7 @@ class EnergyTerm(ABC):
             contacts: contacts of the step.
             x: (vertices, 3) float64 [m] next positions.
             energies: (garments,) [J], added to.
-            gradient: (vertices, 3) [N], added to; without rows where it is not asked for.
+            gradient: (vertices, 3) [N], added to; without rows if not requested.
         """
         at = torch.from_numpy(x)
         if len(gradient):
@@ -129,7 +129,7 @@ class EnergyTerm(ABC):
 
         Args:
             step: the time step.
-            x: (vertices, 3) [m] where the Newton step begins.
+            x: (vertices, 3) [m] at the start of the Newton step.
             records: what the `loops` read there.
             pattern: of the stiffness.
         """
@@ -156,7 +156,7 @@ class EnergyTerm(ABC):
 
 
 class CompiledTerm(EnergyTerm):
-    """A term for the one step that it was made for: its loops over its records.
+    """A term for one particular step: its loops over its records.
 
     Args:
         term: the term.
@@ -199,12 +199,12 @@ class CompiledTerm(EnergyTerm):
             self._loops.add(x, *record, energies, gradient)
 
     def add_stiffness(self, contacts: ContactSet, x: np.ndarray, slots: np.ndarray, stiffness: Stiffness) -> None:
-        """Add the second derivative, or one near it.
+        """Add the second derivative, or an approximation.
 
         Args:
             contacts: contacts of the step.
             x: (vertices, 3) [m] next positions.
-            slots: (elements, corner pairs) int32 places of its blocks in the stiffness.
+            slots: (elements, corner pairs) int32 positions of its blocks in the stiffness.
             stiffness: added to.
         """
         for corners, _, numbers in self._records_at(contacts):
@@ -218,7 +218,7 @@ class CompiledTerm(EnergyTerm):
         Args:
             step: the time step.
             contacts: contacts of the step.
-            x: (vertices, 3) [m] where the Newton step begins.
+            x: (vertices, 3) [m] at the start of the Newton step.
             pattern: of the stiffness.
         """
         return self.term.tangents(step, x, self._records_at(contacts), pattern)
@@ -241,7 +241,7 @@ class _KnownGradient(torch.autograd.Function):
 
 @lru_cache
 def constant(values: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Tensor of `values`, in their unit, made once: an accelerator would wait for each.
+    """Tensor of `values`, in their unit, created once, since an accelerator waits for each creation.
 
     Args:
         values: any numbers.
@@ -277,7 +277,7 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
 
 
 def columns(x: Tensor, index: Tensor) -> Tensor:
-    """Rows of `x` at `index`, laid out axis by axis: (3, n) [m].
+    """Rows of `x` at `index`, stored axis by axis: (3, n) [m].
 
     Args:
         x: (vertices, 3) [m].

@@ -97,8 +97,8 @@ class Friction(EnergyTerm):
     Args:
         radius: distance below which a vertex touches [m].
         smoothing: slip speed below which the vertex sticks [m/s].
-        load: None for the weight alone as the normal force. Given the collision term, the force with which the body
-            pressed the vertex at the step's start, where that is more: shoulders then hold the weight of a dress.
+        load: None to use only the weight as the normal force. With the collision term, the contact force on the vertex
+            at the step's start is used if it is larger: shoulders then hold the weight of a dress.
 
     Attributes:
         law: by which a run names it.
@@ -170,9 +170,9 @@ class CoulombFriction(Friction):
     """Coulomb's: sum over touching vertices of mu N (sqrt(|s|^2 + e^2) - e) [J], alike in all directions.
 
     N is the force with which the body, or the ground, pressed the vertex at the step's start: at rest the part of the
-    weight along the normal, in free fall nothing. What has just come to touch slips for a step. What holds a share r of
+    weight along the normal, in free fall nothing. A new contact slips for one step. What holds a share r of
     its limit creeps by `smoothing` r / sqrt(1 - r^2) [m/s]. Cloth that was pushed out of the body after a step keeps
-    the force that held it there before: else a tight waistband would hold by no more than presses cloth on the skin.
+    its contact force from before the push; otherwise a tight waistband would lose most of its friction.
     """
 
     law = "coulomb"
@@ -188,7 +188,7 @@ FRICTION_LAWS = {law.law: law for law in (Friction, CoulombFriction)}
 
 
 def slip_across(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
-    """Ways (vertices, 3) [m] from `anchor` to `x` (vertices, 3) [m] without their parts along unit `normal`s.
+    """Displacements (vertices, 3) [m] from `anchor` to `x` (vertices, 3) [m] without their parts along unit `normal`s.
 
     Args:
         x: (vertices, 3) [m].

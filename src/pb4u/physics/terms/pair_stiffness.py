@@ -30,7 +30,7 @@ class PairStiffness:
 
     @staticmethod
     def summed(parts: Sequence[PairStiffness], free: np.ndarray) -> PairStiffness:
-        """All `parts` as one, without what acts on vertices that are not `free` (vertices,) bool.
+        """All `parts` as one, without entries of vertices that are not `free` (vertices,) bool.
 
         Args:
             parts: matrices over the same vertices.
@@ -74,7 +74,7 @@ class PairStiffness:
 
 @compiled_with_fused_products
 def add_product(corners: np.ndarray, rows: np.ndarray, vector: np.ndarray, product: np.ndarray) -> float:
-    """Add the matrix of `PairStiffness` times `vector` to `product`; gives back the inner product of what is added.
+    """Add the matrix of `PairStiffness` times `vector` to `product`; returns the squared norm of G times `vector`.
 
     Args:
         corners: (pairs, 4) int64 vertices of the pairs.

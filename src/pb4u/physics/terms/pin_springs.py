@@ -21,8 +21,8 @@ _SLACK = 1e-9
 class PinSprings(Inertia):
     """Sum over pins of k |x' - p|^2 / 2 [J].
 
-    k is the pin's share of the stiffness of the garment's springs [N/m], none from when they let go on, and p where the
-    pin is to be after the step [m].
+    k is the pin's share of the stiffness of the garment's springs [N/m], 0 after their release, and p the target of the
+    pin after the step [m].
     """
 
     name = "pin springs"

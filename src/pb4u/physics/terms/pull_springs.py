@@ -15,7 +15,7 @@ from pb4u.physics.time_step import Pull, TimeStep
 
 
 class PullSprings(Inertia):
-    """Sum over vertices that a hand holds of k |x' - p|^2 / 2 [J]: k [N/m] and p [m] are those of the step's pull."""
+    """Sum over vertices held in the studio of k |x' - p|^2 / 2 [J]: k [N/m] and p [m] are those of the step's pull."""
 
     name = "pull springs"
 

@@ -38,7 +38,7 @@ def corner_pairs(corners: int) -> list[tuple[int, int]]:
 class StiffnessPattern:
     """Which pairs of vertices the energies couple, by the elements that they declare.
 
-    A pair is held once, in the row of its lower vertex; that of a vertex with itself comes first in its row. Pinned
+    A pair is stored once, in the row of its lower vertex; the diagonal block comes first in its row. Pinned
     vertices, and isolated ones, which have no mass, do not move.
 
     Args:
@@ -81,7 +81,7 @@ class StiffnessPattern:
         return Stiffness(self, np.zeros((len(self.columns), 3, 3)), np.zeros(len(self.columns)))
 
     def hold(self, stiffness: Stiffness) -> None:
-        """Take out of `stiffness` what acts on vertices that do not move.
+        """Remove from `stiffness` the entries of vertices that do not move.
 
         Args:
             stiffness: the matrix, changed.
@@ -117,7 +117,7 @@ class Stiffness:
             share: of the compressive part.
             extra: (vertices,) [N/m].
             precision: data type that the sums are rounded to.
-            before: the same, made when no more than the positive part's diagonal blocks was other; changed. None for
+            before: an earlier matrix that differs only in the diagonal blocks of the positive part; changed. None for
                 none.
         """
         if not share and extra is None and precision is np.float64:
@@ -130,7 +130,7 @@ class Stiffness:
 
 @dataclass(frozen=True, eq=False)
 class SymmetricBlocks:
-    """A sparse symmetric matrix of 3x3 blocks, of which the upper half is held.
+    """A sparse symmetric matrix of 3x3 blocks, of which the upper half is stored.
 
     Args:
         starts: (vertices + 1,) int32 first block of each row, its diagonal one; the last entry is the number of blocks.

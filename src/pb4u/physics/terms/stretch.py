@@ -139,7 +139,7 @@ def green_strains(garments: PackedGarments, x: Tensor) -> Tensor:
     """Green strains g11, g22 and g12 (3, faces) along the axes of the rest shape, at x (vertices, 3) [m].
 
     Args:
-        garments: whose faces they are of.
+        garments: the garments with these faces.
         x: (vertices, 3) [m].
     """
     return _strains(garments, x)[0]
@@ -158,7 +158,7 @@ def elastic_density(garments: PackedGarments, strains: Tensor) -> Tensor:
     """Energy by rest area (faces,) [J/m^2] of the four moduli.
 
     Args:
-        garments: whose moduli they are.
+        garments: the garments with these moduli.
         strains: (3, faces) g11, g22 and g12.
     """
     g11, g22, g12 = strains.unbind(0)
@@ -177,10 +177,10 @@ def face_record(
 
     Args:
         garments: the packed garments.
-        share: (faces,) of the moduli [1], or one for all.
+        share: (faces,) factor on the moduli [1], or one for all.
         limit: (faces,) stretch beyond which threads stiffen, or one for all.
         stiffening: (faces,) by how much for each unit of stretch, times the rest area [J], or one for all.
-        unstrained: (faces, 3) Green strain at which the moduli pull at nothing, or one for all.
+        unstrained: (faces, 3) Green strain without stress, or one for all.
     """
     areas, inverse = as_float64(garments.face_areas), as_float64(garments.inverse_rest_shape)
     moduli = (share * areas)[:, None] * as_float64(garments.membrane)
