@@ -137,7 +137,7 @@ def broken(members: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
         ("posedirs", np.full((90, 3, 207), 1e300), "beyond 10000"),
         ("kintree_table", np.zeros((2, 30), dtype=np.int64), "joints = 30"),
         ("kintree_table", np.full((2, 24), 23), "before its parent"),
-        ("f", np.full((3, 3), 90), "outside of its 90 vertices"),
+        ("f", np.full((3, 3), 90), "beyond its 90 vertices"),
         ("weights", np.zeros((90, 24)), "empty rows"),
         ("shapedirs", np.zeros((90, 3)), "shapedirs has the shape"),
         ("v_template", np.zeros((2, 3, 4)), "v_template has the shape"),

@@ -143,7 +143,7 @@ def test_of_a_training_s_folder_the_best_weights_are_the_model(
         if best:
             run.best.touch()
         advice = "give run/best.safetensors" if best else "give a .safetensors file of weights"
-        for model, what in (("run", "a folder"), ("run/last.safetensors", "what a training goes on from")):
+        for model, what in (("run", "a folder"), ("run/last.safetensors", "the saved state of a training")):
             ended = pb4u("simulate", "--model", model, "--out", "a.npz")
             assert ended.code == 1
             assert ended.err == f"pb4u: {model} is {what}, not a model; {advice}.\n"
