@@ -113,7 +113,7 @@ def test_a_newer_format_is_refused(saved):
 def test_another_feature_layout_is_refused(saved):
     narrower = replace(TINY, layout=FeatureLayout(mesh_edge=("direction", "rest_direction", "length_ratio")))
     rewrite(saved, {"configuration": json.dumps(configuration_to_json(narrower))})
-    with pytest.raises(InputError, match=r"another feature layout .*\(8, 11\) and should be \(8, 7\)|\(11,\) and should be \(7,\)"):
+    with pytest.raises(InputError, match=r"another feature layout .* 11\) and should be \(8, 7\)|\(11,\) and should"):
         load_checkpoint(saved)
 
 
