@@ -291,7 +291,7 @@ def test_check_says_once_that_a_body_is_open(pb4u: Callable, tmp_path: Path) -> 
 def test_a_built_in_garment_is_not_mended(pb4u: Callable, tmp_path: Path) -> None:
     ended = pb4u("check", "tshirt", "--fix", tmp_path / "m.obj")
     assert ended.code == 1
-    assert "repairs a garment from a mesh file" in ended.err
+    assert "repairs only a garment from a mesh file" in ended.err
 
 
 def test_check_names_faults_and_ends_with_1(pb4u: Callable, tmp_path: Path) -> None:

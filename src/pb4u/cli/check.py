@@ -167,7 +167,7 @@ def _check_fix(fix: Path, garment: str | None) -> None:
     if fix.suffix.lower() != ".obj":
         raise InputError(f"--fix writes an .obj; {fix} has another suffix.")
     if garment is None or not _is_mesh(garment):
-        raise InputError("--fix repairs a garment from a mesh file; give that file.")
+        raise InputError("--fix repairs only a garment from a mesh file; give such a file as GARMENT.")
     check_writable(fix, "--fix")
 
 

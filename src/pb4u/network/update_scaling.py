@@ -16,7 +16,7 @@ from pb4u.scene.packed import PackedGarments
 
 @dataclass(frozen=True, eq=False)
 class UpdateScale:
-    """Factors on the accelerations of a pack.
+    """Factors that multiply the accelerations predicted for packed garments.
 
     Args:
         wrinkles: (vertices, 1) dimensionless factors; with a low-pass, only for short wavelengths.

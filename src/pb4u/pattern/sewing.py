@@ -93,7 +93,7 @@ def sewn_garment(mesh: PatternMesh, places: np.ndarray, material: Material) -> G
 
 
 def carried(source: PatternMesh, places: np.ndarray, target: PatternMesh) -> np.ndarray:
-    """Positions of another mesh of the same panels, with the cloth in the same shape.
+    """Vertex positions that give `target` the shape that `source`, a mesh of the same panels, has at `places`.
 
     Args:
         source: mesh of the panels.

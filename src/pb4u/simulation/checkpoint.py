@@ -168,9 +168,8 @@ class Checkpoint:
                     continue
                 warn(
                     f"{garment.name}: its {name.replace('_', ' ')} of {value:.3g} {_CLOTH[name]} is outside the range "
-                    f"{least:.3g} to {most:.3g} of the training of the weights {self.name}; expect cloth that "
-                    "stretches or trembles, or give --material default, or --refine 5 for solver iterations after "
-                    "each step.",
+                    f"{least:.3g} to {most:.3g} that {self.name} was trained on, so the cloth may stretch or tremble; "
+                    "give --material default, or --refine 5 for solver iterations after each step.",
                 )
                 break
 
