@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pb4u import __version__
 from pb4u.cli.console import JsonFlag, check_json_target, verb, write_json
 
 _EXTRAS = {
@@ -75,7 +76,7 @@ def gather() -> dict[str, Any]:
     from pb4u.collision.kernel_cache import kernel_folder
 
     return {
-        "pb4u": _version("pb4u"),
+        "pb4u": __version__,
         "python": platform.python_version(),
         "platform": platform.platform(),
         "packages": {name: _version(name) for name in ("torch", "numpy", "scipy", "trimesh", "pyvista", "safetensors")},
