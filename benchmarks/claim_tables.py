@@ -22,6 +22,8 @@ from pb4u.paper.summary import wilson
 
 DECIDING = (2730, 4140, 9600)
 """Levels of 2.27 times the triangles of the training and more that ran whole."""
+FEW_SCENES = 19200
+"""Level from which on the plan has fewer scenes."""
 SIGNIFICANT = 0.05
 DRAWS = 10_000
 COLUMNS = (
@@ -49,7 +51,7 @@ def read(path: Path) -> list[Row]:
 
 
 def whole(rows: Sequence[Row]) -> list[Row]:
-    """Rollouts of those methods that ran in every scene of their level, by level, scene and method.
+    """Rollouts of those methods that ran in every scene, by level, scene and method; the finest levels have few scenes.
 
     Args:
         rows: rollouts.
@@ -62,7 +64,13 @@ def whole(rows: Sequence[Row]) -> list[Row]:
     most = {row["triangles"]: 0 for row in rows}
     for (triangles, *_), count in counts.items():
         most[triangles] = max(most[triangles], count)
-    kept = [row for row in rows if counts[method(row)] == most[row["triangles"]]]
+    fullest = max(most.values(), default=0)
+    kept = [
+        row
+        for row in rows
+        if counts[method(row)] == most[row["triangles"]]
+        and (most[row["triangles"]] == fullest or row["triangles"] >= FEW_SCENES)
+    ]
     return sorted(kept, key=lambda row: (row["triangles"], row["garment"], row["motion"]))
 
 

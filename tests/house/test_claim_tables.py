@@ -63,8 +63,8 @@ def test_a_line_of_a_table_counts_the_lost_and_ranks_them_last() -> None:
 def test_the_csv_file_has_what_ran_in_every_scene_and_reads_back(tmp_path: Path) -> None:
     made = [row | {"strain_max": 0.3, "edge_length": 0.03, "faces": 2688, "propagation_steps": None}
             for row in rows(30.0, 60.0, True)]  # fmt: skip
-    begun = made[0] | {"scaling": "mean"}
-    write(whole([begun, *made]), tmp_path / "rollouts.csv")
+    begun = [made[0] | {"scaling": "mean"}, made[0] | {"triangles": 9600}]
+    write(whole([*begun, *made]), tmp_path / "rollouts.csv")
     again = read(tmp_path / "rollouts.csv")
     assert len(again) == len(made)
     assert decisions(again) == decisions(made)
