@@ -107,7 +107,7 @@ def page(rows: Sequence[Row]) -> str:
     parts = [
         f"## {level:,} triangles\n\n{table([row for row in rows if row['triangles'] == level])}" for level in levels
     ]
-    return "\n\n".join([*parts, "## Decisions", "\n".join(decisions(rows))]) + "\n"
+    return "\n\n".join([*parts, "## Decisions", "\n".join(decisions(whole(rows)))]) + "\n"
 
 
 def table(rows: Sequence[Row]) -> str:

@@ -2,7 +2,7 @@
 
     python benchmarks/side_by_side.py [--triangles 2500 11000 38000] [--rivals default network ...] [--repeats 3]
         [--frames 30] [--lead-in 30] [--garment tshirt] [--motion walk] [--blender-python PYTHON]
-        [--out side_by_side.md] [--json FILE] [--plot docs/images/scaling.png]
+        [--out side_by_side.md] [--json FILE] [--plot PICTURE.png]
     python benchmarks/side_by_side.py --again FILE.json [FILE.json ..] [--out ..] [--plot ..]
 
 Every round takes each rival once, at each size, so that a machine that slows down slows all alike; times are medians
