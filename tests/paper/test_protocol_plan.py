@@ -55,7 +55,7 @@ def test_every_protocol_plans_without_any_weights(monkeypatch: pytest.MonkeyPatc
 def test_models_without_weights_are_one_line_unless_they_were_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pb4u.simulation.checkpoint.built_in_models", lambda: ("comparison-pb4u",))
     (line,) = plan(EvaluationRequest("ablation")).absent
-    assert "comparison-pb4u-without-scaling" in line
+    assert "comparison-literal-without-control" in line
     with pytest.raises(InputError, match="'pb4u-smal'"):
         plan(replace(SMALL, models=("pb4u-smal",)))
 

@@ -189,9 +189,10 @@ class _Planning:
             scene = self._scene(garment, body, motion, level)
             floor = self._solver_on(scene, protocol.excess) if solver_runs else self._floor(scene, motion, level)
             for label, model in self.models.items():
-                for steps in protocol.steps if model.adapts else (None,):
-                    options = {"propagation_steps": steps, **self._options(model.name)}
-                    job = self._job(scene, label, model.name, protocol.excess, **options)
+                for steps, scaling in product(protocol.steps, protocol.scalings) if model.adapts else ((None, None),):
+                    options = {"propagation_steps": steps, "scaling": scaling, **self._options(model.name)}
+                    called = label if scaling is None else f"{label}, scaling {scaling}"
+                    job = self._job(scene, called, model.name, protocol.excess, **options)
                     yield Case(level, motion.label, motion.seed, job, floor)
 
     def _drawn(self) -> Iterator[Case]:

@@ -17,12 +17,8 @@ _NETWORKS = (
     "comparison-eslr",
     "comparison-contourcraft",
 )
-_ABLATIONS = (
-    "comparison-pb4u",
-    "comparison-pb4u-without-control",
-    "comparison-pb4u-without-scaling",
-    "comparison-pb4u-without-both",
-)
+_ABLATIONS = ("comparison-literal", "comparison-literal-without-control")
+"""The paper's own network, trained at 1,200 triangles alone, K drawn or always 5, all else alike."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +38,7 @@ class Protocol:
         bodies: built-in names.
         frames: frames to write of each scene.
         steps: numbers of propagation steps; None is the model's own rule.
+        scalings: rules of update scaling in use, as `--scaling` names them; None is that of the model's training.
         scenes: number of random scenes drawn from these values, with body shapes and seeds of motions; 0 uses all
             combinations.
         materials: names of cloths to draw from.
@@ -60,6 +57,7 @@ class Protocol:
     bodies: tuple[str, ...] = ("woman",)
     frames: int = 30
     steps: tuple[int | None, ...] = (None,)
+    scalings: tuple[str | None, ...] = (None,)
     scenes: int = 0
     materials: tuple[str, ...] = ()
     excess: bool = False
@@ -120,9 +118,13 @@ PROTOCOLS = {
         ),
         Protocol(
             name="ablation",
-            reproduces="The paper's ablation of propagation control and update scaling.",
+            reproduces=(
+                "The paper's ablation of propagation control and update scaling, at the ratios of its 11K, 25K and 38K to "
+                "the mesh of the training."
+            ),
             models=(*_ABLATIONS, "solver"),
-            levels=("11K", "25K", "38K"),
+            levels=("1200", "2730", "4140"),
+            scalings=(None, "none"),
             varied="the network's parts",
             pictured=True,
         ),
