@@ -155,7 +155,7 @@ def near_elements(
     ends, first_obstacle = way.ends, way.reaches.first_obstacle
     near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
     face_count, edge_count = 0, 0
-    leaves = meeting_leaves(boxes, tree, asked, others, parts, EVERY)
+    leaves = meeting_leaves(boxes, tree, asked, others, parts, np.int64(EVERY))
     for pair in range(len(leaves)):
         a, b = leaves[pair]
         for i in range(ranges[a, 0], ranges[a, 1]):

@@ -133,7 +133,8 @@ def update_closest(
     at, triangle, barycentric, positions, normals, distances, beyond = found
     stack, waiting, lanes = np.empty(_DEEPEST, dtype=np.int64), np.empty(_DEEPEST), np.empty(8)
     weights, one = np.empty(4), np.empty(3)
-    place, searched = 0, 0
+    # Of no type of its own, as a constant has: what it is given to would be compiled once more.
+    place, searched = np.int64(0), 0
     for row in range(len(points)):
         moved, bound = 0.0, 0.0
         for axis in range(3):
