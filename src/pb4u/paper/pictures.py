@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import wrap
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -19,6 +20,9 @@ from pb4u.paper.summary import Row, Summary
 from pb4u.scene.trajectory import Trajectory
 
 _VIEW = View(width=300, height=430)
+_TITLE_WIDTH = 30
+"""Letters in a line of a picture's title, beyond which it would reach into the next picture's."""
+
 _TITLE = "Picture grid"
 _REFERENCE = "physics reference"
 
@@ -90,11 +94,13 @@ def sheet(panels: Sequence[tuple[np.ndarray | None, str]], columns: int) -> Figu
         columns: pictures in a row.
     """
     rows = math.ceil(len(panels) / columns)
-    figure = Figure(figsize=(2.1 * columns, 3.4 * rows), layout="constrained")
+    titles = ["\n".join(line for part in title.split("\n") for line in wrap(part, _TITLE_WIDTH)) for _, title in panels]
+    lines = max((title.count("\n") + 1 for title in titles), default=1)
+    figure = Figure(figsize=(2.1 * columns, (3.2 + 0.14 * lines) * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axis in axes:
         axis.set_axis_off()
-    for axis, (picture, title) in zip(axes, panels, strict=False):
+    for axis, (picture, _), title in zip(axes, panels, titles, strict=False):
         axis.set_title(title, fontsize=7)
         if picture is not None:
             axis.imshow(picture)

@@ -119,8 +119,8 @@ PROTOCOLS = {
         Protocol(
             name="ablation",
             reproduces=(
-                "The paper's ablation of propagation control and update scaling, at the ratios of its 11K, 25K and 38K to "
-                "the mesh of the training."
+                "The paper's ablation of propagation control and update scaling, at the ratios of its 11K, 25K and 38K "
+                "to the mesh of the training."
             ),
             models=(*_ABLATIONS, "solver"),
             levels=("1200", "2730", "4140"),
