@@ -12,12 +12,11 @@ import torch
 from ball_scene import ball_scene
 
 from pb4u.errors import InputError, InputWarning, Pb4uError
-from pb4u.measures.metrics import first_diverged, measure
+from pb4u.measures.metrics import measure
 from pb4u.network.acceleration_model import AccelerationModel, PreparedGarments
 from pb4u.network.graph.graph import Graph
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.physics.time_step import TimeStep
-from pb4u.run import Run
 from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
 from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
@@ -69,12 +68,6 @@ def test_a_lead_in_that_is_written_is_the_one_that_is_not(weights: Path) -> None
     scene, simulator = ball_scene(frames=2, lead_in=3), load_simulator(weights, refine=2)
     written = simulator.simulate(replace(scene, frames=5, lead_in=0, kept_lead_in=3))
     np.testing.assert_array_equal(written.positions[3:], simulator.simulate(scene).positions)
-
-
-@pytest.mark.slow
-def test_a_network_alone_keeps_a_shirt_on_who_runs_and_jumps_in_a_recording(test_data: Path) -> None:
-    clip = test_data / "motions" / "cmu_asfamc" / "127" / "127_25.amc"
-    assert first_diverged(Run(motion=clip, frames=20, model="pb4u-wide", refine=0).simulate()) is None
 
 
 def test_k_follows_the_resolution_and_can_be_overridden(weights: Path) -> None:

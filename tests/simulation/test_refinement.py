@@ -24,7 +24,7 @@ from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.pierced_edges import newly_pierced
 from pb4u.simulation.refinement import ImplicitSteps, SafeguardedRefinement, SolverRefinement, past_bodies
 from pb4u.simulation.simulator import RunRecord
-from pb4u.simulation.step import StepMethod, take
+from pb4u.simulation.step import StepMethod
 from pb4u.simulation.timeline import Timeline
 
 POTENTIAL = IncrementalPotential().with_self_contact()
@@ -129,18 +129,6 @@ def test_cloth_that_bodies_turned_aside_is_solved_anew_and_the_less_strained_kep
     assert record.retried == 1
     assert record.solver_iterations[0] == 7
     assert record.solver_iterations[1] > 2
-
-
-@pytest.mark.parametrize(("speed", "loses"), [(0.3, False), (4.0, True)])
-def test_bodies_turn_a_step_that_nothing_refines_aside_unless_that_loses_the_garment(speed: float, loses: bool) -> None:
-    potential = IncrementalPotential().with_self_contact(bodies=True)
-    step = first_step(speed, potential)
-    behind = step.reached(free_flight(step))
-    turned = past_bodies(potential.self_contact, step, behind, apart=True)
-    assert not torch.equal(turned.positions, behind.positions)
-    assert (float(refinement._failed_shares(step, turned.positions)) > refinement._LOST) == loses
-    taken = take(step, StepMethod(potential=potential)).state
-    torch.testing.assert_close(taken.positions, (behind if loses else turned).positions, rtol=0.0, atol=1e-9)
 
 
 def test_a_few_iterations_from_where_bodies_turned_cloth_aside_come_before_a_retry(

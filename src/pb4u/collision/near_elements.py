@@ -74,7 +74,7 @@ def query_of(tree: BoxTree, faces: np.ndarray, among: np.ndarray) -> Query:
 
 @compiled
 def meeting_leaves(
-    boxes: Boxes, tree: BoxTree, asked: Query, others: Query, parts: np.ndarray, most: int
+    boxes: Boxes, tree: BoxTree, asked: Query, others: Query, parts: np.ndarray, most: int | np.int64
 ) -> np.ndarray:
     """Pairs (pairs, 2) of leaves whose boxes meet, of which one is `asked` for and the other of `others`; each once.
 

@@ -111,7 +111,7 @@ def update_closest(
     points: np.ndarray,
     within: float,
     patience: float,
-    only_nearer: bool,
+    only_nearer: bool | np.bool_,
     found: Found,
 ) -> int:
     """Bring `found` up to date for `points` (points, 3) [m], and return how many had to be searched for.
@@ -133,8 +133,7 @@ def update_closest(
     at, triangle, barycentric, positions, normals, distances, beyond = found
     stack, waiting, lanes = np.empty(_DEEPEST, dtype=np.int64), np.empty(_DEEPEST), np.empty(8)
     weights, one = np.empty(4), np.empty(3)
-    # Of no type of its own, as a constant has: what it is given to would be compiled once more.
-    place, searched = np.int64(0), 0
+    place, searched = 0, 0
     for row in range(len(points)):
         moved, bound = 0.0, 0.0
         for axis in range(3):

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-import torch
 from torch import Tensor
 
 from pb4u.geometry.principal_stretch import face_strains
@@ -55,10 +54,6 @@ _ROUGH_TOLERANCE = 1.0
 
 _MOST_RETRY_ITERATIONS = 60
 """Iterations at which a retry ends, sooner on fine meshes; a running dress needed 8 to 31."""
-
-_LOST = 0.05
-"""Share of a garment's faces that bodies may leave strained beyond measure in a step that nothing refines: with more,
-the 95th percentile of its strain is that of a garment that is lost."""
 
 _LEFT_INSIDE = 1e-3
 """Depth [m] from which on a vertex that the response leaves inside the body is pushed out by stiff contact."""
@@ -277,13 +272,6 @@ def _failed_faces(step: TimeStep, x: Tensor) -> int:
     return int(_are_failed(step, x).sum())
 
 
-def _failed_shares(step: TimeStep, x: Tensor) -> Tensor:
-    """Share (garments,) of the faces of each garment that are strained beyond measure at `x` (vertices, 3) [m]."""
-    owner = step.garments.face_garment
-    failed = torch.bincount(owner, _are_failed(step, x).to(x), step.garments.garment_count)
-    return failed / torch.bincount(owner, minlength=step.garments.garment_count)
-
-
 def _are_failed(step: TimeStep, x: Tensor) -> Tensor:
     """Whether each face (faces,) is strained beyond measure at `x` (vertices, 3) [m]."""
     garments = step.garments
@@ -323,24 +311,6 @@ def past_bodies(self_contact: CollisionFree | None, step: TimeStep, target: Stat
         # What they were not through, nor left no room, need not be looked for again.
         obstacle.reached(step.garments, step.bodies.following, positions)
     return _moved_to(positions, target, step)
-
-
-def past_bodies_unless_lost(self_contact: CollisionFree | None, step: TimeStep, target: State) -> State:
-    """`target` moved past the moving bodies, or `target` itself where that would lose a garment.
-
-    For steps that nothing refines: cloth strained so far would stay caught, and drag the rest along in the steps after.
-    What a body is through is led off it by the contact response.
-
-    Args:
-        self_contact: keeps cloth from passing through bodies; None where it may.
-        step: the time step.
-        target: state at its end, to which no move carried cloth through cloth.
-    """
-    reached = past_bodies(self_contact, step, target, apart=True)
-    if reached is target:
-        return target
-    before, after = (_failed_shares(step, state.positions) for state in (target, reached))
-    return target if bool((after > before.clamp_min(_LOST)).any()) else reached
 
 
 def _moved_to(positions: Tensor, target: State, step: TimeStep) -> State:

@@ -19,7 +19,7 @@ from pb4u.physics.time_step import TimeStep, integrate, require_finite
 from pb4u.scene.state import State
 from pb4u.simulation.pass_search import PassSearch
 from pb4u.simulation.penetration_response import ContactResponse
-from pb4u.simulation.refinement import SolverRefinement, collision_free_move, past_bodies_unless_lost
+from pb4u.simulation.refinement import SolverRefinement, collision_free_move, past_bodies
 from pb4u.simulation.step_start import BodyMotionWarmStart, start_accelerations
 from pb4u.threads import without_library_threads
 
@@ -123,7 +123,7 @@ def take(step: TimeStep, method: StepMethod, last_move: Tensor | None = None) ->
                 state = refinement.respond_with_cloth(step, state, contact)
         # Between vertices too no face or edge of a body comes through.
         outside = (
-            past_bodies_unless_lost(cloth, step, state)
+            past_bodies(cloth, step, state, apart=True)
             if refinement is None
             else refinement.pressed_past_bodies(step, state, cloth)
         )

@@ -253,6 +253,7 @@ def _lift_off_skin(
             update_closest(searched, cloth.names, skin.places, np.inf, 0.0, np.bool_(False), found)
             boxes = alone
         searched = Searched(own, faces, cloth.fans, cloth.order, cloth.children, cloth.bottoms, corners, boxes)
+        # Not True itself: for each constant that it is given a kernel is compiled once more.
         update_closest(searched, cloth.names, skin.places, np.inf, -1.0, np.bool_(True), found)
     nearest = found.triangle, found.positions, found.beyond
     heights, _, belongs = described(nearest, skin.places, skin.normals, own, faces)
