@@ -1,6 +1,6 @@
 """The tables and the decisions of docs/science/claims.md, from the rows that `claims.py` writes.
 
-python benchmarks/claim_tables.py ROWS.jsonl [MORE.jsonl ..] [--csv FILE]
+python benchmarks/claim_tables.py ROWS.jsonl [MORE.jsonl ..] [--csv FILE] [--draw FILE.svg]
 python benchmarks/claim_tables.py docs/results/claims/rollouts.csv
 """
 
@@ -31,6 +31,17 @@ COLUMNS = (
     "strain_max", "edge_length", "faces", "propagation_steps",
 )  # fmt: skip
 """Of the CSV file."""
+DRAWN = (
+    ("drawn", "per-vertex", "K by the rule, the paper's scaling", "tab:red", "-"),
+    ("drawn", "none", "K by the rule, no scaling", "tab:gray", "-"),
+    ("drawn", "band-split", "K by the rule, band-split", "tab:blue", "-"),
+    ("trained at 5", "per-vertex", "K = 5, the paper's scaling", "tab:red", ":"),
+    ("trained at 5", "band-split", "K = 5, band-split", "tab:blue", ":"),
+    ("warm-start", "", "body-motion start", "black", "--"),
+    ("gradient-descent", "", "gradient descent", "tab:green", "--"),
+    ("quick-solver", "", "quick solver", "tab:olive", "--"),
+)
+"""Arm, scaling, name and line of the plot."""
 Row = dict[str, Any]
 Scene = tuple[str, str]
 
@@ -135,11 +146,17 @@ def table(rows: Sequence[Row]) -> str:
 
 def _median(values: Iterable[float | None]) -> str:
     """Median and quartiles; what is not finite ranks last."""
+    low, middle, high = _quartiles(values)
+    return "-" if math.isnan(middle) else f"{middle:.3g} ({low:.3g} to {high:.3g})"
+
+
+def _quartiles(values: Iterable[float | None]) -> tuple[float, float, float]:
+    """Lower quartile, median and upper one; not a number where none is finite."""
     ranked = sorted(math.inf if value is None or math.isnan(value) else value for value in values)
     if not ranked or math.isinf(ranked[0]):
-        return "-"
+        return math.nan, math.nan, math.nan
     low, middle, high = np.percentile(ranked, (25, 50, 75), method="nearest")
-    return f"{middle:.3g} ({low:.3g} to {high:.3g})"
+    return float(low), float(middle), float(high)
 
 
 def decisions(rows: Sequence[Row]) -> list[str]:
@@ -269,14 +286,54 @@ def _sentence(what: str, values: Sequence[float], sign: int) -> str:
     return f"- {what}: {answer}. Mean {mean:.3f} ({low:.3f} to {high:.3f}), p = {p:.2g}, {len(values)} scenes."
 
 
+def draw(rows: Sequence[Row], out: Path) -> None:
+    """Plot shares lost with their intervals, and median distances with their quartiles, against triangles.
+
+    Args:
+        rows: rollouts.
+        out: SVG file.
+    """
+    import matplotlib
+
+    matplotlib.use("svg")
+    from matplotlib import pyplot
+
+    pyplot.rcParams.update({"svg.hashsalt": "claims", "svg.fonttype": "none"})
+    figure, panels = pyplot.subplots(1, 2, figsize=(9.6, 3.2), layout="constrained")
+    levels = sorted({row["triangles"] for row in rows})
+    for number, (arm, scaling, name, colour, line) in enumerate(DRAWN):
+        at = np.array(levels) * 1.025 ** (number - len(DRAWN) / 2)
+        of_levels = [
+            [row for row in rows if (row["triangles"], row["arm"], row["scaling"]) == (level, arm, scaling)]
+            for level in levels
+        ]
+        counts = [(sum(row["lost"] for row in part), len(part)) for part in of_levels]
+        shares = np.array([(lost / of, *wilson(lost, of)) for lost, of in counts])
+        far = np.array([_quartiles(row["millimetres"] for row in part) for part in of_levels])
+        for panel, values in ((panels[0], 100.0 * shares), (panels[1], far[:, [1, 0, 2]])):
+            spans = np.abs(values[:, 1:].T - values[:, 0])
+            panel.errorbar(at, values[:, 0], spans, label=name, color=colour, linestyle=line, marker=".", capsize=2)
+    panels[0].set(title="Lost [%], 95 % intervals")
+    panels[1].set(title="From the solver [mm], quartiles", yscale="log", ylim=(5.0, 1000.0))
+    for panel in panels:
+        panel.set(xscale="log", xlabel="triangles; trained at 1,200")
+        panel.set_xticks(levels, [f"{level:,}" for level in levels])
+        panel.minorticks_off()
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right center", frameon=False, fontsize=8)
+    figure.savefig(out, metadata={"Date": None})
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rows", type=Path, nargs="+")
     parser.add_argument("--csv", type=Path, help="file for the rollouts of what ran in every scene")
+    parser.add_argument("--draw", type=Path, help="file for the plot")
     options = parser.parse_args()
     rows = [row for path in options.rows for row in read(path)]
     if options.csv:
         write(whole(rows), options.csv)
+    if options.draw:
+        draw(whole(rows), options.draw)
     print(page(rows))
 
 
