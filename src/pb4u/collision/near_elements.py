@@ -74,7 +74,7 @@ def query_of(tree: BoxTree, faces: np.ndarray, among: np.ndarray) -> Query:
 
 @compiled
 def meeting_leaves(
-    boxes: Boxes, tree: BoxTree, asked: Query, others: Query, parts: np.ndarray, most: int | np.int64
+    boxes: Boxes, tree: BoxTree, asked: Query, others: Query, parts: np.ndarray, most: int
 ) -> np.ndarray:
     """Pairs (pairs, 2) of leaves whose boxes meet, of which one is `asked` for and the other of `others`; each once.
 
@@ -155,7 +155,7 @@ def near_elements(
     ends, first_obstacle = way.ends, way.reaches.first_obstacle
     near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
     face_count, edge_count = 0, 0
-    leaves = meeting_leaves(boxes, tree, asked, others, parts, np.int64(EVERY))
+    leaves = meeting_leaves(boxes, tree, asked, others, parts, EVERY)
     for pair in range(len(leaves)):
         a, b = leaves[pair]
         for i in range(ranges[a, 0], ranges[a, 1]):

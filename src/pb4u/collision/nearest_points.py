@@ -111,7 +111,7 @@ def update_closest(
     points: np.ndarray,
     within: float,
     patience: float,
-    only_nearer: bool | np.bool_,
+    only_nearer: bool,
     found: Found,
 ) -> int:
     """Bring `found` up to date for `points` (points, 3) [m], and return how many had to be searched for.

@@ -212,7 +212,7 @@ def _lift_middles(direction: np.ndarray, size: np.ndarray, x: np.ndarray, middle
             for k in range(1, count):
                 middle += x[corners[row, k], axis]
             points[row, axis] = middle / count
-    update_closest(body.searched, body.names, points, np.inf, 0.0, np.bool_(False), found)
+    update_closest(body.searched, body.names, points, np.inf, 0.0, False, found)
     for row in range(len(corners)):
         # Where a region is left out of contact there is no skin, nor is the cap of one.
         is_skin = not found.beyond[row] and found.triangle[row] < body.skin_faces
@@ -250,11 +250,10 @@ def _lift_off_skin(
             # Where the nearest cloth went bounds what is nearest now.
             carry_found(found, went, own, faces)
             searched = Searched(own, faces, cloth.fans, cloth.order, cloth.children, cloth.bottoms, corners, boxes)
-            update_closest(searched, cloth.names, skin.places, np.inf, 0.0, np.bool_(False), found)
+            update_closest(searched, cloth.names, skin.places, np.inf, 0.0, False, found)
             boxes = alone
         searched = Searched(own, faces, cloth.fans, cloth.order, cloth.children, cloth.bottoms, corners, boxes)
-        # Not True itself: for each constant that it is given a kernel is compiled once more.
-        update_closest(searched, cloth.names, skin.places, np.inf, -1.0, np.bool_(True), found)
+        update_closest(searched, cloth.names, skin.places, np.inf, -1.0, True, found)
     nearest = found.triangle, found.positions, found.beyond
     heights, _, belongs = described(nearest, skin.places, skin.normals, own, faces)
     near = np.abs(found.distances) < SKIN_OVER_CLOTH
