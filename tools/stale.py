@@ -45,7 +45,7 @@ def sources(root: Path) -> list[dict[str, Any]]:
 
 
 def changed_files(root: Path, commit: str, paths: list[str]) -> list[str]:
-    """Files of the paths whose code differs between `commit` and HEAD; comments and docstrings do not count.
+    """Files of the paths whose code differs between `commit` and HEAD; comments, docstrings, new weights do not count.
 
     Args:
         root: the repository.
@@ -59,7 +59,15 @@ def changed_files(root: Path, commit: str, paths: list[str]) -> list[str]:
     differing = _git(root, "diff", "--name-only", "--no-renames", commit, head, "--", *paths)
     if differing is None:
         raise SystemExit(f"git does not know commit {commit}; fetch the whole history with git fetch --unshallow.")
-    return [name for name in differing.splitlines() if _code(root, commit, name) != _code(root, head, name)]
+    return [
+        name for name in differing.splitlines() if _differs(name, _code(root, commit, name), _code(root, head, name))
+    ]
+
+
+def _differs(name: str, before: object, after: object) -> bool:
+    """Whether a file, absent where it computes nothing, may change figures."""
+    # Commands name their weights: those that are new are in no figure yet.
+    return before != after and not (name.endswith(".safetensors") and not (before and after))
 
 
 def _note(root: Path, title: str, commit: str) -> None:

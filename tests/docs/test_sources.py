@@ -121,6 +121,8 @@ def test_figures_are_stale_once_their_code_has_changed(tmp_path: Path) -> None:
     assert [is_stale for is_stale, _ in report(tmp_path)] == [False, False]
     commit("src/solver.py", '"""The solver."""\n\nsteps = 1  # a step\n"""Number of steps."""\n')
     assert [is_stale for is_stale, _ in report(tmp_path)] == [False, False]
+    commit("src/new.safetensors", "weights")
+    assert [is_stale for is_stale, _ in report(tmp_path)] == [False, False]
     commit("src/solver.py", "def steps(count):\n    return count\n")
     (is_stale, line), (_, record) = report(tmp_path)
     assert is_stale
@@ -130,3 +132,7 @@ def test_figures_are_stale_once_their_code_has_changed(tmp_path: Path) -> None:
     commit(str(SOURCES), entry_of(commit("src/solver.py", "def steps(count):\n    return count\n")))
     commit("src/solver.py", "def steps(number):\n    return number\n")
     assert [is_stale for is_stale, _ in report(tmp_path)] == [False, False]
+    made = commit("src/new.safetensors", "weights")
+    commit(str(SOURCES), entry_of(made))
+    commit("src/new.safetensors", "other weights")
+    assert [is_stale for is_stale, _ in report(tmp_path)] == [True, False]
