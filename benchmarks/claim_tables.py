@@ -42,6 +42,8 @@ DRAWN = (
     ("quick-solver", "", "quick solver", "tab:olive", "--"),
 )
 """Arm, scaling, name and line of the plot."""
+LAWS = {"drawn": 0, "trained at 5": 5}
+"""Propagation steps by which each arm is judged, 0 by the rule."""
 Row = dict[str, Any]
 Scene = tuple[str, str]
 
@@ -166,7 +168,7 @@ def decisions(rows: Sequence[Row]) -> list[str]:
         rows: rollouts of all levels.
     """
     counted = [row for row in rows if row["triangles"] in DECIDING]
-    by_law = [("drawn", 0), ("trained at 5", 5)]
+    by_law = list(LAWS.items())
     ruled = ("drawn", 0)
     found = [
         _sentence("Claim 1, lost without scaling less lost with it", _lost(counted, by_law, "none", "per-vertex"), 1),
@@ -304,7 +306,12 @@ def draw(rows: Sequence[Row], out: Path) -> None:
     for number, (arm, scaling, name, colour, line) in enumerate(DRAWN):
         at = np.array(levels) * 1.025 ** (number - len(DRAWN) / 2)
         of_levels = [
-            [row for row in rows if (row["triangles"], row["arm"], row["scaling"]) == (level, arm, scaling)]
+            [
+                row
+                for row in rows
+                if (row["triangles"], row["arm"], row["scaling"], row["steps"])
+                == (level, arm, scaling, LAWS.get(arm, 0))
+            ]
             for level in levels
         ]
         counts = [(sum(row["lost"] for row in part), len(part)) for part in of_levels]
