@@ -54,10 +54,6 @@ COMPARED = {
     "hood": ("network=hood_small",),
     "eslr": ("network=eslr_small",),
     "contourcraft": ("network=contourcraft_small",),
-    "pb4u-by-rule": ("network=pb4u_small_carried", *LAW_OF_K),
-    "pb4u-without-control": ("network=small_without_propagation_control", *LAW_OF_K),
-    "pb4u-without-scaling": ("network=small_without_update_scaling", *LAW_OF_K),
-    "pb4u-without-both": ("network=small_without_both", *LAW_OF_K),
     "wide": WIDE,
     "wide-without-gradient": ("network=conjugate_without_gradient", *AS_SHIPPED),
     "wide-without-warm-start": (*WIDE, "network.warm_start_shares=()"),
@@ -71,7 +67,7 @@ COMPARED = {
     "wide-half-width": (*WIDE, "network.width=32"),
     "wide-half-depth": (*WIDE, "network.blocks=2"),
 }
-"""The comparison, its ablations, and the shipped network less each of its departures, by the name each gets."""
+"""The comparison, and the shipped network less each of its departures, by the name each gets."""
 
 WEIGHTS = Path(__file__).parents[1] / "src" / "pb4u" / "simulation" / "weights"
 

@@ -161,8 +161,6 @@ NETWORKS.update(
         "pb4u_small_conjugate": pb4u_small_conjugate,
         "conjugate_without_gradient": _small_without_gradient,
         **_ablations("", pb4u_paper, 15),
-        # The paper's rule gives a T-shirt of 1,200 triangles 5 steps, the finest that `comparison` trains on.
-        **_ablations("small_", pb4u_small_carried, 5),
         **_ablations("conjugate_", pb4u_small_conjugate, 5),
         "mgn": mgn,
         "hood": hood,
