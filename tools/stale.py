@@ -44,13 +44,14 @@ def sources(root: Path) -> list[dict[str, Any]]:
     ]
 
 
-def changed_files(root: Path, commit: str, paths: list[str]) -> list[str]:
-    """Files of the paths whose code differs between `commit` and HEAD; comments, docstrings, new weights do not count.
+def changed_files(root: Path, commit: str, paths: list[str], shown: str = "") -> list[str]:
+    """Files of the paths whose code differs between `commit` and HEAD; comments and docstrings do not count.
 
     Args:
         root: the repository.
         commit: the commit that made the figures.
         paths: files and folders, from the root.
+        shown: text of the figures.
 
     Raises:
         SystemExit: the commit is not in the history, as in a shallow clone.
@@ -59,15 +60,13 @@ def changed_files(root: Path, commit: str, paths: list[str]) -> list[str]:
     differing = _git(root, "diff", "--name-only", "--no-renames", commit, head, "--", *paths)
     if differing is None:
         raise SystemExit(f"git does not know commit {commit}; fetch the whole history with git fetch --unshallow.")
+    code = {name: (_code(root, commit, name), _code(root, head, name)) for name in differing.splitlines()}
     return [
-        name for name in differing.splitlines() if _differs(name, _code(root, commit, name), _code(root, head, name))
+        name
+        for name, (before, after) in code.items()
+        # Weights that came or went are of no figure that does not name them.
+        if before != after and ((before and after) or not name.endswith(".safetensors") or Path(name).stem in shown)
     ]
-
-
-def _differs(name: str, before: object, after: object) -> bool:
-    """Whether a file, absent where it computes nothing, may change figures."""
-    # Commands name their weights: those that are new are in no figure yet.
-    return before != after and not (name.endswith(".safetensors") and not (before and after))
 
 
 def _note(root: Path, title: str, commit: str) -> None:
@@ -83,7 +82,14 @@ def _is_meant(entry: dict[str, Any], only: str) -> bool:
 
 
 def _changed_since(root: Path, entry: dict[str, Any]) -> list[str]:
-    return [] if entry.get("record") else changed_files(root, entry["commit"], entry["code"])
+    if entry.get("record"):
+        return []
+    shown = "".join(
+        path.read_text(encoding="utf-8", errors="ignore")
+        for path in (root / f for f in entry["files"])
+        if path.exists()
+    )
+    return changed_files(root, entry["commit"], entry["code"], shown)
 
 
 def _git(root: Path, *words: str) -> str | None:

@@ -136,3 +136,9 @@ def test_figures_are_stale_once_their_code_has_changed(tmp_path: Path) -> None:
     commit(str(SOURCES), entry_of(made))
     commit("src/new.safetensors", "other weights")
     assert [is_stale for is_stale, _ in report(tmp_path)] == [True, False]
+    commit("src/new.safetensors", "weights")
+    (tmp_path / "src/new.safetensors").unlink()
+    commit("page.md", "Times of old.")
+    assert [is_stale for is_stale, _ in report(tmp_path)] == [False, False]
+    commit("page.md", "Times of old and new.")
+    assert [is_stale for is_stale, _ in report(tmp_path)] == [True, False]
