@@ -60,6 +60,14 @@ def test_models_without_weights_are_one_line_unless_they_were_named(monkeypatch:
         plan(replace(SMALL, models=("pb4u-smal",)))
 
 
+def test_the_ablation_has_each_network_with_its_scaling_and_without() -> None:
+    planned = plan(EvaluationRequest("ablation", models=("comparison-literal", "comparison-mgn", "solver")))
+    scalings = {case.job.label: case.job.run.scaling for case in planned.cases}
+    # Of a method without update scaling there is nothing to leave out.
+    own, without = "comparison-literal", "comparison-literal, scaling none"
+    assert scalings == {own: None, without: "none", "comparison-mgn": None, "solver": None}
+
+
 def test_levels_go_by_name_or_number() -> None:
     planned = plan(replace(SMALL, levels=("11k", "2500", "12K", "1.2K", "11000")))
     assert planned.protocol.levels == ("11K", "base", "12K", "1200")
