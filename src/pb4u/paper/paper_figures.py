@@ -64,7 +64,7 @@ level  quantity  MGN       HOOD      ESLR      CCRAFT    Pb4U-GNet
 48K    ms        144.5     141.1     184.8     761499.3  196.4
 """
 
-# Of the paper's levels 11K, 25K and 38K, at which ours have the same ratio to the mesh of the training.
+# The paper's 11K, 25K and 38K, under our levels that are as many times finer than the mesh of the training.
 _ABLATION = """
 level  quantity  Pb4U-GNet  w/o propagation control  w/o update scaling  w/o both
 1200   total     -1.66e-2   -1.61e-3                 -5.78e-3            4.70e-3
