@@ -11,6 +11,7 @@ import torch
 from numba.core.dispatcher import Dispatcher
 from torch import Tensor
 
+from pb4u.collision.compile_ahead import is_coming
 from pb4u.collision.kernel_cache import KernelCache
 
 Compiled = TypeVar("Compiled", bound=Callable)
@@ -57,7 +58,7 @@ def compiled_with_free_sums(function: Compiled) -> Compiled:
 def _compiled(function: Compiled, freedom: set[str]) -> Compiled:
     kernel = numba.njit(nogil=True, error_model="numpy", fastmath=freedom)(function)
     if isinstance(kernel, Dispatcher):  # NUMBA_DISABLE_JIT leaves the function as it is
-        kernel._cache = KernelCache(kernel)  # type: ignore[attr-defined]
+        kernel._cache = KernelCache(kernel, is_coming)  # type: ignore[attr-defined]
     return cast(Compiled, kernel)
 
 

@@ -15,10 +15,11 @@ import pickle
 import stat
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 from filelock import FileLock
@@ -33,13 +34,21 @@ from pb4u.io.cache_folder import cache_folder
 PACKAGE = Path(__file__).resolve().parents[1]
 KEPT_DAYS = 30
 """After so many days, code of a kernel's earlier versions is deleted [days]."""
+KERNELS: WeakSet[Dispatcher] = WeakSet()
+"""All that have a cache."""
 
 
 class KernelCache:
-    """What a dispatcher of Numba asks of a cache, made when the kernel is first called: its callees exist by then."""
+    """What a dispatcher of Numba asks of a cache, made when the kernel is first called: its callees exist by then.
 
-    def __init__(self, kernel: Dispatcher) -> None:
-        self._kernel = kernel
+    Args:
+        kernel: whose machine code it keeps.
+        is_coming: whether another process is about to compile a kernel for a signature; it is waited for.
+    """
+
+    def __init__(self, kernel: Dispatcher, is_coming: Callable[[Dispatcher, Any], bool]) -> None:
+        self._kernel, self._is_coming = kernel, is_coming
+        KERNELS.add(kernel)
 
     @functools.cached_property
     def _files(self) -> FunctionCache:
@@ -60,7 +69,11 @@ class KernelCache:
         if not is_trusted(Path(self.cache_path)):
             return None
         try:
-            return self._files.load_overload(signature, target)
+            code = self._files.load_overload(signature, target)
+            while code is None and self._is_coming(self._kernel, signature):
+                time.sleep(0.02)
+                code = self._files.load_overload(signature, target)
+            return code
         except (AttributeError, EOFError, ImportError, pickle.UnpicklingError):
             # Damaged, or of a type that is no longer there: it is compiled again, and written over.
             with contextlib.suppress(OSError):

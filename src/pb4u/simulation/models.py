@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pb4u.collision.compile_ahead import compile_ahead
 from pb4u.errors import InputError, refuse_unknown, unknown_name
 from pb4u.memory import keep_freed_memory
 from pb4u.options import described
@@ -179,6 +180,7 @@ def simulator_of(run: Run) -> Simulator:
     Raises:
         InputError: an unknown model, a bad file or an impossible option.
     """
+    compile_ahead()
     from pb4u.physics.incremental_potential import IncrementalPotential
     from pb4u.physics.integrator import INTEGRATORS
     from pb4u.physics.solver.implicit_steps import free_flight
