@@ -171,6 +171,7 @@ def main() -> None:
     parser.add_argument("--garments", default="", help="names or files, by comma, to simulate in place of a set")
     parser.add_argument("--motions", default="walk,dance,squat", help="for --garments")
     parser.add_argument("--models", default="auto")
+    parser.add_argument("--refine", type=int, default=Run.refine, help="most iterations a step")
     parser.add_argument("--frames", type=int, help="of each clip, in place of those of its set")
     parser.add_argument("--triangles", type=int, help="of each garment, in place of those of its set")
     parser.add_argument("--seeds", default="0:300", help="first and last scene of drawn or fabrics, the last left out")
@@ -183,7 +184,7 @@ def main() -> None:
     planner, ways = JobPlanner(), ({}, {"self_contact": False})[: 1 + args.against]
     wanted = [run for kind in ("given" if args.garments else args.set).split(",") for run in runs(kind, args)]
     jobs = [
-        planner.job(run.with_entries({"model": model, **way}))
+        planner.job(run.with_entries({"model": model, "refine": args.refine, **way}))
         for model, run, way in product(args.models.split(","), wanted, ways)
     ]
     with JobFolder(args.out, "clips in contact", {}) as folder:

@@ -62,6 +62,7 @@ RIVALS = {
         "network alone, float32", {"name": "auto", "refine": 0, "contact": False, "precision": "float32"}
     ),
     "quick": Rival("quick solver, no network", {"name": "quick-solver"}),
+    "one_iteration": Rival("quick solver, one iteration", {"name": "quick-solver", "refine": 1}),
     "solver": Rival("solver", {"name": "solver"}),
     "newton": Rival("Newton, VBD", {"name": "newton"}, "newton"),
     "blender": Rival("Blender cloth", None),

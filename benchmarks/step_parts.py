@@ -127,8 +127,10 @@ def compared(triangles: int, options: argparse.Namespace) -> list[dict[str, Any]
             process.stdin.close()
             process.wait()
         places = [np.load(file) for file in files]
-    print(f"{rows[0][-1]['triangles']} triangles, {options.frames} frames, iterations a step: ", end="")
-    print(", ".join(f"{kept[-1]['iterations'] or 0:.2f}" for kept in rows))
+    print(f"{rows[0][-1]['triangles']} triangles, {options.frames} frames", end="")
+    # The quick solver counts none.
+    counts = [f"{kept[-1]['iterations']:.2f}" for kept in rows if kept[-1]["iterations"] is not None]
+    print(f", iterations a step: {', '.join(counts)}" if counts else "")
     began = min(2, options.frames - 1)
     for number, (name, _, _) in enumerate(variants):
         wall, processor = (
