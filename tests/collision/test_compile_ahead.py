@@ -5,9 +5,11 @@ import os
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 
+from pb4u.collision import compile_ahead
 from pb4u.collision.kernel_cache import KERNELS
 from pb4u.collision.kernel_list import kernel_name, line_of, listed_kernels, signature_of
 
@@ -16,8 +18,8 @@ import json
 from pb4u.collision.compile_ahead import _program, compile_ahead
 from pb4u.collision.kernel_cache import KERNELS
 from pb4u.collision.kernel_list import kernel_name, listed_kernels, signature_of
-compile_ahead()
 name, signature = signature_of(listed_kernels()[0])
+compile_ahead()
 kernel, = [kernel for kernel in KERNELS if kernel_name(kernel) == name]
 kernel.compile(signature)
 compile_ahead()
@@ -55,6 +57,14 @@ def test_the_list_has_what_a_run_calls(tmp_path) -> None:
     used, unlisted = _printed(UNLISTED, str(tmp_path / "clip.npz"))
     assert used > 30
     assert unlisted == [], "python tools/list_kernels.py writes the list again"
+
+
+def test_nothing_is_started_where_most_kernels_are_kept(monkeypatch) -> None:
+    kernels = [SimpleNamespace(_cache=SimpleNamespace(is_kept=number > 0)) for number in range(3)]
+    monkeypatch.setattr(compile_ahead, "KERNELS", kernels)
+    program = compile_ahead._Program()
+    program.start()
+    assert not program.is_running
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a process of Windows cannot be asked whether it runs")

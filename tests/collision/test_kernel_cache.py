@@ -39,6 +39,13 @@ def _hits(kernel):
     return sum(kernel.stats.cache_hits.values())
 
 
+def test_a_kernel_is_kept_once_it_is_compiled(tmp_path, monkeypatch):
+    kernel = _outer(tmp_path, monkeypatch)
+    assert not kernel._cache.is_kept
+    kernel(1)
+    assert kernel._cache.is_kept
+
+
 def test_an_edited_callee_recompiles_its_callers(tmp_path, monkeypatch):
     assert _outer(tmp_path, monkeypatch)(1) == 20
     edited = _outer(tmp_path, monkeypatch, added=100)

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from filelock import FileLock
-from numba.core import config
 from numba.core.dispatcher import Dispatcher
 
 from pb4u.collision.kernel_cache import KERNELS, is_writable, kernel_folder
@@ -25,8 +24,8 @@ from pb4u.threads import thread_count
 
 MOST_PROCESSES = 8
 """More gain nothing: the longest chain of kernels, each compiled into the next, takes as long."""
-FEW = 0.5
-"""Share of the listed kernels up to which a folder counts as that of a first run."""
+LACKING = 0.5
+"""Share of the imported kernels that is not kept from which on a run counts as a first one."""
 
 
 class _Program:
@@ -41,8 +40,8 @@ class _Program:
 
     def start(self) -> None:
         folder, processes = kernel_folder(), min(thread_count(), MOST_PROCESSES)
-        code_files = sum(1 for _ in folder.glob("*.nbi"))
-        if self._process or config.DISABLE_JIT or code_files > FEW * len(listed_kernels()) or not is_writable(folder):
+        lacking = [kernel for kernel in KERNELS if not kernel._cache.is_kept]  # type: ignore[attr-defined]
+        if self._process or len(lacking) <= LACKING * len(KERNELS) or not is_writable(folder):
             return
         if sys.stderr.isatty():
             print(f"Compiling kernels in {processes} processes, once on this machine.", file=sys.stderr)
@@ -60,7 +59,7 @@ _program = _Program()
 
 
 def compile_ahead() -> None:
-    """Have the listed kernels compiled by other processes, where few of them are kept."""
+    """Have the listed kernels compiled by other processes, where most of those imported so far are not kept."""
     _program.start()
 
 

@@ -59,6 +59,11 @@ class KernelCache:
         """Folder of the compiled kernels."""
         return str(self._files.cache_path)
 
+    @property
+    def is_kept(self) -> bool:
+        """Whether machine code of the kernel is kept, for any types."""
+        return Path(self.cache_path, f"{self._files._impl.filename_base}.nbi").exists()
+
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Machine code for a signature, None where none was kept.
 

@@ -180,7 +180,6 @@ def simulator_of(run: Run) -> Simulator:
     Raises:
         InputError: an unknown model, a bad file or an impossible option.
     """
-    compile_ahead()
     from pb4u.physics.incremental_potential import IncrementalPotential
     from pb4u.physics.integrator import INTEGRATORS
     from pb4u.physics.solver.implicit_steps import free_flight
@@ -194,6 +193,7 @@ def simulator_of(run: Run) -> Simulator:
     from pb4u.simulation.step_start import BodyMotionWarmStart
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, QuickSolver, SolverSimulator
 
+    compile_ahead()
     keep_freed_memory()
     model = chosen_model(run)
     refuse_useless(run)
