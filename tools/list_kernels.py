@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from pathlib import Path
 from typing import Any
 
 from numba.core import config
@@ -52,4 +51,4 @@ def listed() -> list[str]:
 
 
 if __name__ == "__main__":
-    Path(LIST).write_text("".join(f"{line}\n" for line in listed()), encoding="utf-8")
+    LIST.write_text("".join(f"{line}\n" for line in listed()), encoding="utf-8")

@@ -6,6 +6,7 @@ Run as a program, this module has the listed kernels compiled. It ends with the 
 from __future__ import annotations
 
 import contextlib
+import functools
 import gc
 import os
 import subprocess
@@ -23,11 +24,11 @@ from pb4u.jobs.worker_pool import LocalPool
 from pb4u.threads import thread_count
 
 MOST_PROCESSES = 8
-"""Each loads the package, and takes over half a gigabyte."""
+"""At most so many: each loads the package, and takes 0.7 GB."""
+LACKING = 0.5
+"""Share of the imported kernels that is not kept above which a run counts as a first one."""
 _COLLECTED = 100_000
 """Objects made from one search for cycles to the next: every 700, as by default, takes a twelfth of the time."""
-LACKING = 0.5
-"""Share of the imported kernels that is not kept from which on a run counts as a first one."""
 
 
 class _Program:
@@ -43,7 +44,7 @@ class _Program:
     def start(self) -> None:
         folder, processes = kernel_folder(), min(thread_count(), MOST_PROCESSES)
         lacking = [kernel for kernel in KERNELS if not kernel._cache.is_kept]  # type: ignore[attr-defined]
-        if self._process or len(lacking) <= LACKING * len(KERNELS) or not is_writable(folder):
+        if len(lacking) <= LACKING * len(KERNELS) or not is_writable(folder):
             return
         if sys.stderr.isatty():
             print(f"Compiling kernels in {processes} processes, once on this machine.", file=sys.stderr)
@@ -60,8 +61,9 @@ class _Program:
 _program = _Program()
 
 
+@functools.cache
 def compile_ahead() -> None:
-    """Have the listed kernels compiled by other processes, where most of those imported so far are not kept."""
+    """Have the listed kernels compiled by other processes, where most of those imported so far are not kept; once."""
     _program.start()
 
 
