@@ -4,7 +4,7 @@
         [--against OTHER/src] [--parts]
 
 Every variant (checkout and number of threads) runs in a process of its own. They take their steps in turn, so that a
-machine that slows down slows all alike. Times are medians over the steps after the first; `--parts` (of variants with
+machine that slows down slows all alike. Times are medians over the steps after the second; `--parts` (of variants with
 one thread) are means of processor time, each part without the parts inside it.
 """
 
@@ -141,9 +141,11 @@ def compared(triangles: int, options: argparse.Namespace) -> list[dict[str, Any]
             for kind in ("wall", "processor")
         ]
         apart = 1e3 * float(np.abs(places[number] - places[-1]).max())
+        steps = 1e3 * np.array([row["wall"] for row in rows[number][began:]])
         print(
             f"  {name:20} {wall:9.1f} ms by the wall {processor:9.1f} of processor; over the last: {ratios[0]:.3f} "
-            f"{ratios[1]:.3f}; positions apart by {apart:.2g} mm"
+            f"{ratios[1]:.3f}; positions apart by {apart:.2g} mm; mean {steps.mean():.1f} ms, of 95 % at most "
+            f"{np.percentile(steps, 95):.1f}, longest {steps.max():.1f}"
         )
     for part in dict.fromkeys(name for name, _, _ in PARTS) if options.parts else ():
         means = [1e3 * float(np.mean([row["parts"].get(part, 0.0) for row in kept[began:]])) for kept in rows]

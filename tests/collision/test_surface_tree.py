@@ -112,6 +112,21 @@ def test_pairs_of_some_vertices_are_those_of_all_that_have_one(name: str) -> Non
 
 
 @on_surfaces
+def test_known_pairs_of_some_vertices_serve_while_no_other_moves(name: str) -> None:
+    surface = SURFACES[name]
+    tree, rng = surface.tree, np.random.default_rng(9)
+    among = rng.random(len(surface.before)) < 0.1
+    x, known = surface.before, tree.pairs(surface.before, 2e-3, lasting=True, among=among)
+    for size in (0.0, 2e-4, 0.05, 2e-4):
+        moves = size * rng.normal(size=x.shape) * among[:, None]
+        found = tree.pairs(x, 2e-3, moves, known, lasting=True, among=among)
+        near = (_nearest_on_the_way(surface, x, moves) < 2e-3) & among[surface.all_pairs.corners].any(axis=1)
+        _assert_complete(surface, near, found)
+        assert among[found.corners].any(axis=1).all()
+        x, known = x + moves, found
+
+
+@on_surfaces
 def test_pairs_known_before_save_a_search_and_change_nothing(name: str) -> None:
     """Over several moves: small ones, one of a few vertices that go far, and one of all."""
     surface = SURFACES[name]

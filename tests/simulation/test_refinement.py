@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -120,7 +121,8 @@ def test_cloth_that_bodies_turned_aside_is_solved_anew_and_the_less_strained_kep
     if not solves:
         crumpled = refining._pressing.minimise(potential.of(step), step.state.positions, 1)
         worse = replace(crumpled, positions=crumpled.positions * torch.tensor([3.0, 1.0, 1.0]))
-        monkeypatch.setattr(refining._pressing, "minimise", lambda *_, **__: worse)
+        for solver in (refining._around, refining._pressing):
+            monkeypatch.setattr(solver, "minimise", lambda *_, **__: worse)
     kept = refining.pressed_past_bodies(step, behind, potential.self_contact)
     if solves:
         assert refinement._failed_faces(step, kept.positions) < strained
@@ -139,13 +141,16 @@ def test_a_few_iterations_from_where_bodies_turned_cloth_aside_come_before_a_ret
     refining = SolverRefinement(potential, 5, retried=lambda solution: made.append(solution.iterations))
     behind = step.reached(free_flight(step))
     turned = past_bodies(potential.self_contact, step, behind, apart=True).positions
-    solve = refining._pressing.minimise
 
-    def noted(of: StepPotential, start: torch.Tensor, *rest: object, **named: object) -> Solution:
-        starts.append(start)
-        return solve(of, start, *rest, **named)
+    def noting(solve: Callable[..., Solution]) -> Callable[..., Solution]:
+        def noted(of: StepPotential, start: torch.Tensor, *rest: object, **named: object) -> Solution:
+            starts.append(start)
+            return solve(of, start, *rest, **named)
 
-    monkeypatch.setattr(refining._pressing, "minimise", noted)
+        return noted
+
+    for solver in (refining._around, refining._pressing):
+        monkeypatch.setattr(solver, "minimise", noting(solver.minimise))
     kept = refining.pressed_past_bodies(step, behind, potential.self_contact)
     assert torch.equal(starts[0], turned)
     assert len(starts) == 1
@@ -156,6 +161,26 @@ def test_a_few_iterations_from_where_bodies_turned_cloth_aside_come_before_a_ret
     assert len(starts) > 2
     assert not torch.equal(starts[-1], turned)
     assert len(made) == 2
+
+
+def test_a_retry_moves_the_cloth_around_what_bodies_turned_aside(monkeypatch: pytest.MonkeyPatch) -> None:
+    potential = IncrementalPotential().with_self_contact(bodies=True)
+    step = first_step(4.0, potential)
+    refining = SolverRefinement(potential, 5)
+    behind = step.reached(free_flight(step))
+    turned = past_bodies(potential.self_contact, step, behind, apart=True)
+    monkeypatch.setattr(refinement, "_RINGS", 1)
+    strained = refinement._at_failed_faces(step, turned.positions)
+    aside = (turned.positions - behind.positions).norm(dim=1) > refinement._TURNED_ASIDE
+    around = refinement._around(step, strained | aside)
+    assert not bool(around.all())
+    kept = refining.pressed_past_bodies(step, behind, potential.self_contact)
+    assert refinement._failed_faces(step, kept.positions) == 0
+    stays = (kept.positions == turned.positions).all(1)
+    assert torch.equal(stays, ~around)
+    assert torch.equal(kept.velocities[stays], turned.velocities[stays])
+    speeds = turned.velocities + (kept.positions - turned.positions) / step.dt
+    torch.testing.assert_close(kept.velocities, speeds)
 
 
 def test_a_retry_goes_in_parts_by_the_edges_of_what_is_strained(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,7 +197,7 @@ def test_a_retry_goes_in_parts_by_the_edges_of_what_is_strained(monkeypatch: pyt
     monkeypatch.setattr(refinement, "in_parts", lambda step, *_: (step.state, None))
     refining = SolverRefinement(potential, 5)
     # The iterations that come before a retry leave it strained.
-    monkeypatch.setattr(refining._pressing, "minimise", lambda *_: replace(step.state, positions=wide))
+    monkeypatch.setattr(refining._around, "minimise", lambda *_, **__: replace(step.state, positions=wide))
     refining.pressed_past_bodies(step, step.state, potential.self_contact)
     assert asked == [refinement._EDGES_IN_A_PART * coarse]
 

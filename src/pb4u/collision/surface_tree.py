@@ -146,15 +146,11 @@ class SurfaceTree:
             moves: (vertices, 3) float64 [m] linear motion along which they may come near, or None.
             known: pairs of positions before these, where there are such: only what strayed apart since is searched.
             lasting: whether to look further than asked, so that the result serves as the next `known`.
-            among: (vertices,) bool, of which each pair has one; None for all. Not with `known` or `lasting`. Where all
-                are of obstacles, these pairs are all with one.
+            among: (vertices,) bool, of which each pair has one; None for all. Where all are of obstacles, these pairs
+                are all with one. With `known`, the same as for these, and no other vertex moves since.
             obstacle_reach: distance [m] of pairs with an obstacle where it is less than `reach`; None for the same.
-
-        Raises:
-            ValueError: they are given together.
         """
-        if among is not None and (known is not None or lasting):
-            raise ValueError("pairs of some vertices are neither among the known pairs nor stored as such")
+        asked = self._everywhere if among is None else among
         vertices = np.ascontiguousarray(vertices, dtype=np.float64)
         moving = self._still if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
         reaches = Reaches(reach, min(reach, reach if obstacle_reach is None else obstacle_reach), self.first_obstacle)
@@ -167,10 +163,9 @@ class SurfaceTree:
                     neighbourhood = neighbourhood.followed(strayed, vertices, theirs)
                 return self._pairs(neighbourhood.near(vertices, moving, reaches), neighbourhood)
         if not lasting:
-            asked = self._everywhere if among is None else among
             candidates = self._search(vertices, moving, reaches, asked)
             return self._pairs(_near(candidates, vertices, moving, reaches), None)
-        candidates = self._search(vertices, moving, reaches, self._everywhere, self._room)
+        candidates = self._search(vertices, moving, reaches, asked, self._room)
         neighbourhood, rows = self._neighbourhood(candidates, vertices, moving, reaches)
         found = neighbourhood.corners[rows], int(rows[: neighbourhood.vertex_faces].sum())
         return self._pairs(found, neighbourhood)

@@ -180,6 +180,15 @@ class TimeStep:
             pull=pull,
         )
 
+    def around(self, moving: Tensor, state: State) -> TimeStep:
+        """The step of some vertices; the others are where they will be at its end.
+
+        Args:
+            moving: (vertices,) bool, vertices whose places are sought.
+            state: at the end of the step.
+        """
+        return replace(self, garments=self.garments.part(moving), pin_positions=state.positions)
+
     @cached_property
     def inertial_dt(self) -> float | Tensor:
         """Time step [s] of the inertia term, one or (vertices,)."""

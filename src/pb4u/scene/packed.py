@@ -27,6 +27,10 @@ from pb4u.garment.material import Material, nearest_isotropic
 from pb4u.geometry.topology import joined_indices, offsets
 from pb4u.threads import to_device
 
+_OF_FACES = ("faces", "inverse_rest_shape", "face_areas", "membrane", "stiffening", "damping", "face_garment")
+_OF_HINGES = ("hinges", "hinge_areas", "hinge_damping", "bending", "hinge_garment")
+_OF_EDGES = ("edges", "edge_lengths", "edge_garment")
+
 
 @dataclass(frozen=True, eq=False)
 class PackedGarments:
@@ -62,6 +66,7 @@ class PackedGarments:
         mean_edge_lengths: mean rest edge length of each garment [m].
         garments: the garments packed.
         worlds: world of each garment, ascending from 0.
+        part_of: the garments that these are a part of, with the same vertices; None for whole garments.
     """
 
     rest_positions: Tensor
@@ -91,6 +96,27 @@ class PackedGarments:
     mean_edge_lengths: tuple[float, ...]
     garments: tuple[Garment, ...]
     worlds: tuple[int, ...]
+    part_of: PackedGarments | None = None
+
+    @property
+    def whole(self) -> PackedGarments:
+        """The whole garments: by these is known what was found for their vertices."""
+        return self if self.part_of is None else self.part_of
+
+    def part(self, moving: Tensor) -> PackedGarments:
+        """The elements that some vertices have a corner in; all other vertices are pinned.
+
+        Args:
+            moving: (vertices,) bool, vertices that go on to move.
+        """
+        faces, hinges, edges = (moving[corners].any(1) for corners in (self.faces, self.hinges, self.edges))
+        rows = {
+            **dict.fromkeys(_OF_FACES, faces),
+            **dict.fromkeys(_OF_HINGES, hinges),
+            **dict.fromkeys(_OF_EDGES, edges),
+        }
+        parts: dict[str, Any] = {name: getattr(self, name)[chosen] for name, chosen in rows.items()}
+        return replace(self, **parts, pinned=self.pinned | ~moving, part_of=self.whole)
 
     @property
     def lame_mu(self) -> Tensor:
@@ -187,8 +213,8 @@ class PackedGarments:
 
     @cached_property
     def surface_tree(self) -> SurfaceTree:
-        """Search for elements of the garments that come near each other."""
-        return self._tree(self.worlds)
+        """Search for elements of the garments that come near each other, those that are no part of these as well."""
+        return self._tree(self.worlds) if self.part_of is None else self.part_of.surface_tree
 
     @cached_property
     def surface_tree_of_each(self) -> SurfaceTree:

@@ -184,7 +184,7 @@ def simulator_of(run: Run) -> Simulator:
     from pb4u.physics.integrator import INTEGRATORS
     from pb4u.physics.solver.implicit_steps import free_flight
     from pb4u.physics.terms.air import Air
-    from pb4u.physics.terms.damping import DAMPING
+    from pb4u.physics.terms.damping import DAMPED
     from pb4u.physics.terms.pin_springs import PinSprings
     from pb4u.physics.terms.pull_springs import PullSprings
     from pb4u.simulation.first_frame import FIRST_FRAMES
@@ -199,7 +199,7 @@ def simulator_of(run: Run) -> Simulator:
     refuse_useless(run)
     laws = chosen_laws(run)
     potential = IncrementalPotential().with_friction(laws["friction_law"])
-    for term in (*DAMPING, PinSprings(), PullSprings()):
+    for term in (*DAMPED, PinSprings(), PullSprings()):
         potential = potential.with_term(term)
     if laws["air"] == "on":
         potential = potential.with_term(Air())

@@ -6,8 +6,11 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+import torch
 from torch import Tensor
 
+from pb4u.collision.near_elements import beside
 from pb4u.geometry.principal_stretch import face_strains
 from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.incremental_potential import IncrementalPotential
@@ -71,6 +74,10 @@ _EDGES_IN_A_PART = 8.0
 moves by twenty to forty-five, was strained by 9.3 in one part, and is by 1.4. At 2,500 triangles a running leg moves by
 seven."""
 
+_RINGS = 6
+"""Edges around strained or turned-aside cloth up to which a retry moves cloth first: with ten, the patches of a coarse
+garment are half of it."""
+
 _TURNED_ASIDE, _OF_AN_EDGE = 1e-2, 0.37
 """How far bodies may turn strained cloth aside before the energies count their faces and edges: a length [m], and on
 meshes of more than 2,500 triangles a share of the mean edge length. In a run that is every step, and takes as long."""
@@ -96,7 +103,7 @@ class SolverRefinement:
         self.potential, self.iterations = potential, iterations
         self.solver = solver or Solver()
         self.retried = retried
-        self._pressing = Solver(_NEAR_BALANCE, settled=_SETTLED)
+        self._pressing, self._around = (Solver(_NEAR_BALANCE, settled=_SETTLED) for _ in range(2))
         self._warm_start = BodyMotionWarmStart(potential)
 
     def refine(self, step: TimeStep, predicted: State) -> State:
@@ -127,11 +134,11 @@ class SolverRefinement:
     def pressed_past_bodies(self, step: TimeStep, state: State, self_contact: CollisionFree | None) -> State:
         """`state` moved past the bodies; where they turned strained cloth aside, the step retried with their faces.
 
-        Mostly a few iterations from where it was turned aside leave no face strained. Else the step is solved from the
-        body-motion warm start: cloth that is crumpled takes more iterations to smooth than a step takes to solve. Where
-        the body moves by many of its edges, it is solved in parts. It ends where no face is strained, and where no
-        fewer are than a few iterations before: cloth pressed between two limbs stays strained. Of both states the one
-        with fewer strained faces is kept.
+        Mostly a few iterations of the cloth around it leave no face strained: far from it nothing has changed. Else
+        all of the step is solved from the body-motion warm start, for cloth that is crumpled may take more iterations
+        to smooth. Where the body moves by many of its edges, it is solved in parts. It ends where no face is strained,
+        and where no fewer are than a few iterations before: cloth pressed between two limbs stays strained. Of both
+        states the one with fewer strained faces is kept.
 
         Args:
             step: the time step.
@@ -148,19 +155,23 @@ class SolverRefinement:
         failed = _failed_faces(step, reached.positions)
         if not failed:
             return reached
-        pressed, most = self.potential.pressed_by_bodies(), _most_iterations(step)
-        smoothed = self._pressing.minimise(pressed.of(step), reached.positions, _MOST_PRESSING)
-        if not _failed_faces(step, smoothed.positions):
+        pressed = self.potential.pressed_by_bodies()
+        part = step.around(_around(step, (aside > least) | _at_failed_faces(step, reached.positions)), reached)
+        smooth, crumpled = _Smoothing(part, ends=True), reached.positions
+        smoothed = self._around.minimise(
+            pressed.of(part), crumpled, _most_iterations(part), until=smooth.ended, begun=crumpled
+        )
+        if not _failed_faces(part, smoothed.positions):
             if self.retried:
                 self.retried(smoothed)
-            return step.reached(smoothed.positions, smoothed.struck)
+            return step.turned_aside(reached, smoothed.positions)
 
         def solve(part: TimeStep) -> Solution:
             start = past_bodies(self_contact, part, part.reached(self._warm_start.positions(part)), apart=False)
             smooth = _Smoothing(part, ends=True)
             return self._pressing.minimise(pressed.of(part), start.positions, most, until=smooth.ended)
 
-        garments = step.garments
+        garments, most = step.garments, _most_iterations(step)
         strained = garments.vertex_garment[garments.faces[_are_failed(step, reached.positions), 0]]
         longest = _EDGES_IN_A_PART * min(garments.mean_edge_lengths[number] for number in set(strained.tolist()))
         retried, solution = in_parts(step, substep_count(step, longest), solve)
@@ -266,6 +277,23 @@ class _Smoothing:
 def _most_iterations(step: TimeStep) -> int:
     """Iterations of a retry at most."""
     return _MOST_PRESSING + min(_MOST_RETRY_ITERATIONS, max(1, _PRESSING_WORK // len(step.garments.faces)))
+
+
+def _around(step: TimeStep, vertices: Tensor) -> Tensor:
+    """Which vertices (vertices,) bool are up to `_RINGS` edges from some `vertices` (vertices,) bool."""
+    near, edges = vertices.numpy(), step.garments.edges.numpy()
+    for _ in range(_RINGS):
+        grown = np.zeros_like(near)
+        grown[beside(edges, near)] = True
+        near = grown
+    return torch.from_numpy(near)
+
+
+def _at_failed_faces(step: TimeStep, x: Tensor) -> Tensor:
+    """Which vertices (vertices,) bool have a face that is strained beyond measure at `x` (vertices, 3) [m]."""
+    at = torch.zeros(len(x), dtype=torch.bool)
+    at[step.garments.faces[_are_failed(step, x)].reshape(-1)] = True
+    return at
 
 
 def _failed_faces(step: TimeStep, x: Tensor) -> int:

@@ -251,7 +251,7 @@ def _compiled(pose: ColliderPose) -> bool:
 
 def _renewed(pose: ColliderPose, garments: PackedGarments, x: Tensor, within: float, patience: float) -> Found:
     """What was found at the pose, brought up to date for `x`; the same object where nothing had to be searched for."""
-    points, known, searched = as_float64(x), pose.found.get(garments), 0
+    points, known, searched = as_float64(x), pose.found.get(garments.whole), 0
     found = Found.nothing(len(points)) if known is None else known.copy()
     for world, rows in enumerate(garments.world_vertices):
         part, surface = found.rows(rows.start, rows.stop), pose.surfaces[world] if world < len(pose.surfaces) else None
@@ -261,15 +261,15 @@ def _renewed(pose: ColliderPose, garments: PackedGarments, x: Tensor, within: fl
         elif known is None:
             part.positions[:] = points[rows]
     if known is None or searched:
-        pose.found[garments] = known = found
+        pose.found[garments.whole] = known = found
     return known
 
 
 def _lead(pose: ColliderPose, garments: PackedGarments, planes: ContactPlanes) -> None:
     """Bound the first search at a pose: by where the points of `planes`, those of a pose before it, go."""
-    if _compiled(pose) and garments not in pose.found:
+    if _compiled(pose) and garments.whole not in pose.found:
         points = as_float64(planes.transported(pose))
-        pose.found[garments] = Found.nothing(len(points), points)
+        pose.found[garments.whole] = Found.nothing(len(points), points)
 
 
 def _of_found(found: Found, x: Tensor) -> ContactPlanes:

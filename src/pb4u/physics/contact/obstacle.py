@@ -72,7 +72,7 @@ class Obstacle:
             return None
         tree, areas = _surface(garments, pose)
         body = pose.touched
-        known = pose.passed.get(garments)
+        known = pose.passed.get(garments.whole)
         if known is not None and torch.equal(known[0], x):
             return Obstacle(tree, areas, body, body, known[1])
         return Obstacle(tree, areas, body, body, _noted(garments, pose, x, tree, body))
@@ -88,7 +88,7 @@ class Obstacle:
         if self.passed.any():
             _noted(garments, pose, x, self.tree, self.after, self.passed)
         else:
-            pose.passed[garments] = x, self.passed
+            pose.passed[garments.whole] = x, self.passed
 
     @property
     def moves(self) -> np.ndarray:
@@ -117,7 +117,7 @@ def _noted(
     planes = nearest_planes(pose, garments, x, within=MOTION_REACH)
     inside = (planes.touchable & (planes.distance < 0.0)).numpy()
     passed[: len(x)] |= inside if among is None else inside & among[: len(x)]
-    pose.passed[garments] = x, passed
+    pose.passed[garments.whole] = x, passed
     return passed
 
 
@@ -163,7 +163,7 @@ def _edge_sags(
 
 def _surface(garments: PackedGarments, pose: ColliderPose) -> tuple[SurfaceTree, np.ndarray]:
     """Search among garments and bodies, and areas (body vertices,) [m^2]; made once, from the first pose."""
-    colliders = pose.colliders
+    colliders, garments = pose.colliders, garments.whole
     if (known := colliders.trees.get(garments)) is not None:
         return known
     vertices, faces = colliders.touched

@@ -94,7 +94,11 @@ class ClothPairs:
             points, began = (np.concatenate([of, obstacle.before]) for of in (points, began))
             areas = np.concatenate([areas, obstacle.areas])
         near = None if known is None else known.pairs
-        pairs = tree.pairs(points, reach, way, near, lasting=True, obstacle_reach=_BODY_REACH)
+        among = None
+        if garments.part_of is not None:
+            among = np.arange(len(points)) < len(x)
+            among[: len(x)] = ~garments.pinned.numpy()
+        pairs = tree.pairs(points, reach, way, near, lasting=True, among=among, obstacle_reach=_BODY_REACH)
         if obstacle is not None and obstacle.passed.any():
             pairs = pairs.chosen(~through_obstacle(pairs.corners, tree.first_obstacle, obstacle.passed))
         law = _contact_law(

@@ -142,6 +142,7 @@ class Solver:
         iterations: int | None = None,
         watch: Callable[[Iteration], None] | None = None,
         until: Callable[[Tensor], bool] | None = None,
+        begun: Tensor | None = None,
     ) -> Solution:
         """Minimise `potential` from `start`; pinned vertices do not move.
 
@@ -152,13 +153,15 @@ class Solver:
             watch: called before every iteration, and at the end.
             until: called after every iteration with the positions (vertices, 3) [m]; the solver stops when it returns
                 true.
+            begun: (vertices, 3) [m] that cross nowhere, from which cloth goes to the `start`; by default those where
+                the step begins.
 
         Raises:
             DivergedError: `start` or its energy is not finite.
         """
         self._prepare(potential)
         with without_library_threads():
-            return self._minimise(potential, start, iterations, watch, until)
+            return self._minimise(potential, start, iterations, watch, until, begun)
 
     def _minimise(
         self,
@@ -167,6 +170,7 @@ class Solver:
         iterations: int | None,
         watch: Callable[[Iteration], None] | None,
         until: Callable[[Tensor], bool] | None,
+        begun: Tensor | None,
     ) -> Solution:
         garments = potential.step.garments
         limit = self.max_iterations if iterations is None else iterations
@@ -174,7 +178,7 @@ class Solver:
             raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")
         # What was asked for may cross, where contact between cloths has no finite energy to compare.
         lifted = moved_off_the_body(potential.without_cloth(), start)
-        potential, start = _reached(potential, lifted)
+        potential, start = _reached(potential, lifted, potential.step.state.positions if begun is None else begun)
         cloth = potential.contacts.cloth
         contact = TrackedContact(potential, start)
         x, iteration, damping_level, decrease, ended = start, 0, -1, float("inf"), False
@@ -359,14 +363,13 @@ def _along_buckling(place: _Place, buckling: Tensor, gradient: Tensor) -> _Place
     return _Place(frozen, result, reached)
 
 
-def _reached(potential: StepPotential, wanted: Tensor) -> tuple[StepPotential, Tensor]:
-    """The potential for the move to a start, and the positions (vertices, 3) [m] reached of `wanted`.
+def _reached(potential: StepPotential, wanted: Tensor, before: Tensor) -> tuple[StepPotential, Tensor]:
+    """The potential for the move from `before` to a start, and the positions (vertices, 3) [m] reached of `wanted`.
 
     Layers that fall on one another in one step are stopped each at another place, crumpled beyond what a fold would
     ever be. A world starts from where it stands, its pins in place, where that has less energy.
     """
-    step, garments = potential.step, potential.step.garments
-    before, pinned = step.state.positions, garments.pinned
+    garments, pinned = potential.step.garments, potential.step.garments.pinned
     moved, start = potential.reached(before, wanted)
     if start is wanted:
         return moved, start

@@ -60,8 +60,12 @@ class PatchBasis:
         blocks = []
         column = 0
         for first, stop in pairwise(offsets):
-            values, rows, columns = _affine_functions(rest[first:stop])
-            blocks.append((values, rows + first, columns + column))
+            # Of a part of a garment, what does not move is most of it.
+            members = np.arange(first, stop) if garments.part_of is None else first + np.flatnonzero(free[first:stop])
+            if not len(members):
+                continue
+            values, rows, columns = _affine_functions(rest[members])
+            blocks.append((values, members[rows], columns + column))
             column += 3 * (int(columns.max()) // 3 + 1)
         values, rows, columns = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
         functions = coo_matrix((values, (rows, columns)), shape=(len(rest), column)).tocsr()

@@ -78,15 +78,26 @@ class Bending(EnergyTerm):
     reads_contacts = False
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        garments, bend = step.garments, bends(step.garments, x)
-        energy = 0.5 * hinge_stiffness(garments) * bend * bend
+        garments, (stiffness, unbent) = step.garments, self.resisted(step)
+        bend = bends(garments, x) - unbent
+        energy = 0.5 * stiffness * bend * bend
         return sum_by_garment(energy, garments.hinge_garment, garments.garment_count)
+
+    def resisted(self, step: TimeStep) -> tuple[Tensor, Tensor | float]:
+        """Stiffness (hinges,) [J/m^2], and l theta [m] of hinges without a bending force, (hinges,) or one for all.
+
+        Args:
+            step: the time step.
+        """
+        return hinge_stiffness(step.garments), 0.0
 
     def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
         return step.garments.hinges
 
     def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
-        records = (hinge_record(step.garments, hinge_stiffness(step.garments), 0.0),)
+        garments, (stiffness, unbent) = step.garments, self.resisted(step)
+        numbers = rows(len(garments.hinges), as_float64(stiffness), np.asarray(unbent))
+        records = (Record(garments.hinges.numpy(), garments.hinge_garment.numpy(), numbers),)
         return lambda _: records
 
 
@@ -112,15 +123,3 @@ def hinge_stiffness(garments: PackedGarments) -> Tensor:
         garments: the garments with these hinges.
     """
     return garments.bending / (4.0 * garments.hinge_areas)
-
-
-def hinge_record(garments: PackedGarments, stiffness: Tensor, unbent: np.ndarray | float) -> Record:
-    """All hinges with what the law of a hinge reads.
-
-    Args:
-        garments: the packed garments.
-        stiffness: (hinges,) [J/m^2].
-        unbent: (hinges,) l theta [m] of hinges without a bending force, or one value for all.
-    """
-    numbers = rows(len(garments.hinges), as_float64(stiffness), unbent)
-    return Record(garments.hinges.numpy(), garments.hinge_garment.numpy(), numbers)

@@ -1,75 +1,52 @@
-"""Damping of cloth: forces against a change of its shape, whatever the rate of frames."""
+"""Damping of cloth: forces against a change of its shape, whatever the rate of frames.
+
+A force against the change from a shape, beside the elastic force against any, is one elastic force of greater modulus
+against a shape between the two: both cost no more than the elastic one alone.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 from torch import Tensor
 
-from pb4u.collision.jit import as_float64
-from pb4u.physics.contact.contact_set import ContactSet
-from pb4u.physics.terms.bending import Bending, bends, hinge_record, hinge_stiffness
-from pb4u.physics.terms.element_loops import Record
-from pb4u.physics.terms.energy_term import sum_by_garment
-from pb4u.physics.terms.stretch import Stretch, elastic_density, face_record, green_strains
+from pb4u.physics.terms.bending import Bending, bends, hinge_stiffness
+from pb4u.physics.terms.stretch import Stretch, green_strains
 from pb4u.physics.time_step import TimeStep
 
 
-class StretchDamping(Stretch):
-    """Sum over faces of b A / (2 dt) (G - G0) : C : (G - G0) [J], G0 the Green strain at the start of the step.
+class DampedStretch(Stretch):
+    """The stretch, and the sum over faces of b A / (2 dt) (G - G0) : C : (G - G0) [J], G0 the strain before the step.
 
     b is the damping time of the face's material [s], C its four moduli, A its rest area [m^2]. A mode of angular
     frequency w loses pi b w of the logarithm of its amplitude in a period. Source: Rayleigh damping in strain rates, as
     in Brown et al. 2018 (Accurate dissipative forces in optimization integrators).
+
+    With r = b / dt, both are (1 + r) A / 2 (G - G1) : C : (G - G1), G1 = r / (1 + r) G0, but for what is the same
+    wherever the step leads, which is left out.
     """
 
-    name = "stretch damping"
-
-    def acts_on(self, step: TimeStep) -> bool:
-        return step.garments.damps
-
-    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
+    def resisted(self, step: TimeStep) -> tuple[Tensor | float, Tensor | float]:
         garments = step.garments
-        change = green_strains(garments, x) - green_strains(garments, step.state.positions)
-        density = garments.damping / step.dt * elastic_density(garments, change)
-        return sum_by_garment(garments.face_areas * density, garments.face_garment, garments.garment_count)
-
-    def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
-        garments, before = step.garments, step.state.positions.double()
-        share, strains = as_float64(garments.damping) / step.dt, green_strains(garments, before)
-        records = (face_record(garments, share, 0.0, 0.0, as_float64(strains.T)),)
-        return lambda _: records
+        if not garments.damps:
+            return super().resisted(step)
+        rate = garments.damping / step.dt
+        return 1.0 + rate, rate / (1.0 + rate) * green_strains(garments, step.state.positions)
 
 
-class BendingDamping(Bending):
-    """The same of bending: sum over hinges of b k / (4 (A1 + A2)) (l theta - l0 theta0)^2 / (2 dt) [J].
+class DampedBending(Bending):
+    """The bending, and the sum over hinges of b k / (4 (A1 + A2)) (l theta - l0 theta0)^2 / (2 dt) [J].
 
-    b is the mean damping time of both faces [s], l0 theta0 the value at the start of the step; the rest as in
-    `Bending`.
+    b is the mean damping time of both faces [s], l0 theta0 the value before the step; the rest as in `Bending`, and
+    both in one as in `DampedStretch`.
     """
 
-    name = "bending damping"
-
-    def acts_on(self, step: TimeStep) -> bool:
-        return step.garments.damps
-
-    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
+    def resisted(self, step: TimeStep) -> tuple[Tensor, Tensor | float]:
         garments = step.garments
-        change = bends(garments, x) - bends(garments, step.state.positions)
-        energy = 0.5 * _stiffness(step) * change * change
-        return sum_by_garment(energy, garments.hinge_garment, garments.garment_count)
-
-    def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
-        bent = as_float64(bends(step.garments, step.state.positions.double()))
-        records = (hinge_record(step.garments, _stiffness(step), bent),)
-        return lambda _: records
+        if not garments.damps:
+            return super().resisted(step)
+        rate = garments.hinge_damping / step.dt
+        bent = rate / (1.0 + rate) * bends(garments, step.state.positions)
+        return (1.0 + rate) * hinge_stiffness(garments), bent
 
 
-def _stiffness(step: TimeStep) -> Tensor:
-    """Stiffness (hinges,) [J/m^2] of the damping."""
-    garments = step.garments
-    return hinge_stiffness(garments) * garments.hinge_damping / step.dt
-
-
-DAMPING = (StretchDamping(), BendingDamping())
-"""The energies of damping, which a simulation adds and tables of the six leave out."""
+DAMPED = (DampedStretch(), DampedBending())
+"""The elastic energies of a simulation; tables of the six have those without damping."""

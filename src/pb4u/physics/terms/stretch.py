@@ -117,7 +117,8 @@ class Stretch(EnergyTerm):
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         garments = step.garments
         strains, threads = _strains(garments, x)
-        density = elastic_density(garments, strains)
+        share, unstrained = self.resisted(step)
+        density = share * elastic_density(garments, strains - unstrained)
         if garments.stiffens:
             limit, stiffening = garments.stiffening.unbind(1)
             for thread in threads:
@@ -125,13 +126,28 @@ class Stretch(EnergyTerm):
                 density = density + stiffening * beyond**3 / 6.0
         return sum_by_garment(garments.face_areas * density, garments.face_garment, garments.garment_count)
 
+    def resisted(self, step: TimeStep) -> tuple[Tensor | float, Tensor | float]:
+        """By which factor the moduli resist, (faces,) or one for all, and the Green strains at which they do not.
+
+        These are (3, faces) g11, g22 and g12, or one for all.
+
+        Args:
+            step: the time step.
+        """
+        return 1.0, 0.0
+
     def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
         return step.garments.faces
 
     def records(self, step: TimeStep, contacts: ContactSet) -> Callable[[ContactSet], Sequence[Record]]:
         garments = step.garments
+        areas, inverse = as_float64(garments.face_areas), as_float64(garments.inverse_rest_shape)
         limit, stiffening = as_float64(garments.stiffening).T
-        records = (face_record(garments, 1.0, limit, as_float64(garments.face_areas) * stiffening, np.zeros((1, 3))),)
+        share, unstrained = (np.asarray(part) for part in self.resisted(step))
+        moduli = (share * areas)[:, None] * as_float64(garments.membrane)
+        strains = np.broadcast_to(unstrained, (3, len(areas))).T
+        numbers = rows(len(areas), inverse.reshape(-1, 4), moduli, limit, areas * stiffening, strains)
+        records = (Record(garments.faces.numpy(), garments.face_garment.numpy(), numbers),)
         return lambda _: records
 
 
@@ -164,26 +180,3 @@ def elastic_density(garments: PackedGarments, strains: Tensor) -> Tensor:
     g11, g22, g12 = strains.unbind(0)
     c11, c22, c12, c33 = garments.membrane.unbind(1)
     return 0.5 * (c11 * g11 * g11 + c22 * g22 * g22) + c12 * g11 * g22 + 2.0 * c33 * g12 * g12
-
-
-def face_record(
-    garments: PackedGarments,
-    share: np.ndarray | float,
-    limit: np.ndarray | float,
-    stiffening: np.ndarray | float,
-    unstrained: np.ndarray,
-) -> Record:
-    """All faces with what the law of a face reads.
-
-    Args:
-        garments: the packed garments.
-        share: (faces,) factor on the moduli [1], or one for all.
-        limit: (faces,) stretch beyond which threads stiffen, or one for all.
-        stiffening: (faces,) by how much for each unit of stretch, times the rest area [J], or one for all.
-        unstrained: (faces, 3) Green strain without stress, or one for all.
-    """
-    areas, inverse = as_float64(garments.face_areas), as_float64(garments.inverse_rest_shape)
-    moduli = (share * areas)[:, None] * as_float64(garments.membrane)
-    unstrained = np.broadcast_to(unstrained, (len(areas), 3))
-    numbers = rows(len(areas), inverse.reshape(-1, 4), moduli, limit, stiffening, unstrained)
-    return Record(garments.faces.numpy(), garments.face_garment.numpy(), numbers)
