@@ -214,3 +214,16 @@ def test_a_retry_ends_where_no_fewer_faces_are_strained_and_perhaps_where_none_i
     smooth, made = refinement._Smoothing(step, ends=ends), range(1, 5 * len(strained) + 1)
     ended = [number for number in made if smooth.ended(step.state.positions)]
     assert ended == ([] if last is None else [last])
+
+
+def test_smoothing_of_crumpled_cloth_goes_on_while_strained_faces_halve(monkeypatch: pytest.MonkeyPatch) -> None:
+    step, counts = first_step(speed=0.3), iter([9, 4, 2, 0])
+    monkeypatch.setattr(refinement, "_failed_faces", lambda *_: next(counts))
+
+    def ended(failed: int) -> int:
+        smooth = refinement._Smoothing(step, ends=True, failed=failed, share=0.5)
+        return next(number for number in range(1, 100) if smooth.ended(step.state.positions))
+
+    assert ended(17) == 5
+    assert ended(9) == 10, "two are half of four"
+    assert ended(2) == 5
