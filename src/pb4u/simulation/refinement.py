@@ -62,8 +62,7 @@ _LEFT_INSIDE = 1e-3
 """Depth [m] from which on a vertex that the response leaves inside the body is pushed out by stiff contact."""
 
 _MOST_PRESSING = 5
-"""Iterations at which that push ends, those that smooth cloth where bodies turned it aside, and from one count of
-strained faces to the next in a retry."""
+"""Iterations at which that push ends, and from one count of strained faces to the next in a retry."""
 
 _PRESSING_WORK = 150_000
 """Iterations times triangles of a retry at most, besides its first few: sixty of 2,500 triangles take a second, and
