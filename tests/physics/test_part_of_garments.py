@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import torch
 from tests.physics.shapes import EVALUATION, packed, sheet, time_step, tube
 
@@ -27,7 +30,7 @@ def crumpled() -> tuple[TimeStep, State, torch.Tensor]:
 
 def test_a_part_has_the_slopes_of_the_whole_where_it_moves() -> None:
     step, reached, around = crumpled()
-    part = step.around(around, reached)
+    part = step.around(around)
     assert len(part.garments.faces) < len(step.garments.faces)
     x = reached.positions
     moved = x + 1e-4 * around[:, None] * torch.tensor([1.0, -2.0, 0.5], dtype=torch.float64)
@@ -47,7 +50,7 @@ def test_a_part_has_the_slopes_of_the_whole_where_it_moves() -> None:
 
 def test_a_solve_of_a_part_moves_nothing_else_and_lowers_the_energy_of_all() -> None:
     step, reached, around = crumpled()
-    part, x = step.around(around, reached), reached.positions
+    part, x = step.around(around), reached.positions
     solved = Solver().minimise(POTENTIAL.of(part), x, begun=x)
     assert solved.converged
     assert torch.equal(solved.positions[~around], x[~around])
@@ -67,3 +70,18 @@ def test_a_part_of_a_part_is_one_of_the_whole() -> None:
     assert again.whole is garments
     assert part.surface_tree is garments.surface_tree
     assert torch.equal(again.pinned, ~corner)
+
+
+def test_pins_on_springs_are_pulled_to_their_own_places_in_a_part() -> None:
+    step, reached, around = crumpled()
+    pins = reached.positions + 0.1
+    assert replace(step, pin_positions=pins).around(around).pin_positions is pins
+
+
+def test_a_part_in_which_nothing_can_move_stays() -> None:
+    garments = packed(sheet(4, 4).with_pins(np.ones(25, dtype=bool)))
+    step = time_step(garments)
+    reached = step.reached(garments.rest_positions)
+    part = step.around(torch.ones(garments.vertex_count, dtype=torch.bool))
+    solved = Solver().minimise(IncrementalPotential().of(part), reached.positions, begun=reached.positions)
+    assert torch.equal(solved.positions, reached.positions)

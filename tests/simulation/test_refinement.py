@@ -121,7 +121,7 @@ def test_cloth_that_bodies_turned_aside_is_solved_anew_and_the_less_strained_kep
     if not solves:
         crumpled = refining._pressing.minimise(potential.of(step), step.state.positions, 1)
         worse = replace(crumpled, positions=crumpled.positions * torch.tensor([3.0, 1.0, 1.0]))
-        for solver in (refining._around, refining._pressing):
+        for solver in (refining._local, refining._pressing):
             monkeypatch.setattr(solver, "minimise", lambda *_, **__: worse)
     kept = refining.pressed_past_bodies(step, behind, potential.self_contact)
     if solves:
@@ -149,7 +149,7 @@ def test_a_few_iterations_from_where_bodies_turned_cloth_aside_come_before_a_ret
 
         return noted
 
-    for solver in (refining._around, refining._pressing):
+    for solver in (refining._local, refining._pressing):
         monkeypatch.setattr(solver, "minimise", noting(solver.minimise))
     kept = refining.pressed_past_bodies(step, behind, potential.self_contact)
     assert torch.equal(starts[0], turned)
@@ -170,9 +170,9 @@ def test_a_retry_moves_the_cloth_around_what_bodies_turned_aside(monkeypatch: py
     behind = step.reached(free_flight(step))
     turned = past_bodies(potential.self_contact, step, behind, apart=True)
     monkeypatch.setattr(refinement, "_RINGS", 1)
-    strained = refinement._at_failed_faces(step, turned.positions)
-    aside = (turned.positions - behind.positions).norm(dim=1) > refinement._TURNED_ASIDE
-    around = refinement._around(step, strained | aside)
+    crumpled = (turned.positions - behind.positions).norm(dim=1) > refinement._TURNED_ASIDE
+    crumpled[step.garments.faces[refinement._are_failed(step, turned.positions)].reshape(-1)] = True
+    around = refinement._near(step.garments, crumpled)
     assert not bool(around.all())
     kept = refining.pressed_past_bodies(step, behind, potential.self_contact)
     assert refinement._failed_faces(step, kept.positions) == 0
@@ -197,7 +197,7 @@ def test_a_retry_goes_in_parts_by_the_edges_of_what_is_strained(monkeypatch: pyt
     monkeypatch.setattr(refinement, "in_parts", lambda step, *_: (step.state, None))
     refining = SolverRefinement(potential, 5)
     # The iterations that come before a retry leave it strained.
-    monkeypatch.setattr(refining._around, "minimise", lambda *_, **__: replace(step.state, positions=wide))
+    monkeypatch.setattr(refining._local, "minimise", lambda *_, **__: replace(step.state, positions=wide))
     refining.pressed_past_bodies(step, step.state, potential.self_contact)
     assert asked == [refinement._EDGES_IN_A_PART * coarse]
 

@@ -180,14 +180,13 @@ class TimeStep:
             pull=pull,
         )
 
-    def around(self, moving: Tensor, state: State) -> TimeStep:
-        """The step of some vertices; the others are where they will be at its end.
+    def around(self, moving: Tensor) -> TimeStep:
+        """The step of some vertices; the others stay where a solve of it starts from.
 
         Args:
             moving: (vertices,) bool, vertices whose places are sought.
-            state: at the end of the step.
         """
-        return replace(self, garments=self.garments.part(moving), pin_positions=state.positions)
+        return replace(self, garments=self.garments.part(moving))
 
     @cached_property
     def inertial_dt(self) -> float | Tensor:

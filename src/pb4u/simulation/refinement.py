@@ -18,6 +18,7 @@ from pb4u.physics.solver.implicit_steps import free_flight, implicit_steps, in_p
 from pb4u.physics.solver.newton_solver import Solution, Solver
 from pb4u.physics.terms.collision import STIFF_CONTACT_WEIGHT, Collision
 from pb4u.physics.time_step import TimeStep
+from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State
 from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.pierced_edges import newly_pierced
@@ -112,7 +113,7 @@ class SolverRefinement:
         self.retried = retried
         self._pressing = Solver(_NEAR_BALANCE, settled=_SETTLED)
         # Of the weight of a garment, a part has little energy to lose.
-        self._around = Solver(_NEAR_BALANCE)
+        self._local = Solver(_NEAR_BALANCE)
         self._warm_start = BodyMotionWarmStart(potential)
 
     def refine(self, step: TimeStep, predicted: State) -> State:
@@ -161,16 +162,18 @@ class SolverRefinement:
         least = (_OF_AN_EDGE * step.garments.vertex_edge_lengths).clamp_max(_TURNED_ASIDE)
         if not felt or not bool((aside > least).any()):
             return reached
-        failed = _failed_faces(step, reached.positions)
+        garments, are_failed = step.garments, _are_failed(step, reached.positions)
+        failed = int(are_failed.sum())
         if not failed:
             return reached
-        pressed = self.potential.pressed_by_bodies()
-        part = step.around(_around(step, (aside > least) | _at_failed_faces(step, reached.positions)), reached)
-        smooth, crumpled = _Smoothing(part, ends=True, failed=failed, share=_SMOOTHED), reached.positions
-        smoothed = self._around.minimise(
-            pressed.of(part), crumpled, _most_iterations(part), until=smooth.ended, begun=crumpled
+        pressed, crumpled = self.potential.pressed_by_bodies(), aside > least
+        crumpled[garments.faces[are_failed].reshape(-1)] = True
+        around = step.around(_near(garments, crumpled))
+        smooth, most = _Smoothing(around, ends=True, failed=failed, share=_SMOOTHED), _most_iterations(around)
+        smoothed = self._local.minimise(
+            pressed.of(around), reached.positions, most, until=smooth.ended, begun=reached.positions
         )
-        if _failed_faces(part, smoothed.positions) <= _LEFT * failed:
+        if _failed_faces(around, smoothed.positions) <= _LEFT * failed:
             if self.retried:
                 self.retried(smoothed)
             return step.turned_aside(reached, smoothed.positions)
@@ -178,10 +181,11 @@ class SolverRefinement:
         def solve(part: TimeStep) -> Solution:
             start = past_bodies(self_contact, part, part.reached(self._warm_start.positions(part)), apart=False)
             smooth = _Smoothing(part, ends=True)
-            return self._pressing.minimise(pressed.of(part), start.positions, most, until=smooth.ended)
+            return self._pressing.minimise(
+                pressed.of(part), start.positions, _most_iterations(step), until=smooth.ended
+            )
 
-        garments, most = step.garments, _most_iterations(step)
-        strained = garments.vertex_garment[garments.faces[_are_failed(step, reached.positions), 0]]
+        strained = garments.vertex_garment[garments.faces[are_failed, 0]]
         longest = _EDGES_IN_A_PART * min(garments.mean_edge_lengths[number] for number in set(strained.tolist()))
         retried, solution = in_parts(step, substep_count(step, longest), solve)
         if self.retried:
@@ -290,21 +294,14 @@ def _most_iterations(step: TimeStep) -> int:
     return _MOST_PRESSING + min(_MOST_RETRY_ITERATIONS, max(1, _PRESSING_WORK // len(step.garments.faces)))
 
 
-def _around(step: TimeStep, vertices: Tensor) -> Tensor:
+def _near(garments: PackedGarments, vertices: Tensor) -> Tensor:
     """Which vertices (vertices,) bool are up to `_RINGS` edges from some `vertices` (vertices,) bool."""
-    near, edges = vertices.numpy(), step.garments.edges.numpy()
+    near, edges = vertices.numpy(), garments.edges.numpy()
     for _ in range(_RINGS):
         grown = np.zeros_like(near)
         grown[beside(edges, near)] = True
         near = grown
     return torch.from_numpy(near)
-
-
-def _at_failed_faces(step: TimeStep, x: Tensor) -> Tensor:
-    """Which vertices (vertices,) bool have a face that is strained beyond measure at `x` (vertices, 3) [m]."""
-    at = torch.zeros(len(x), dtype=torch.bool)
-    at[step.garments.faces[_are_failed(step, x)].reshape(-1)] = True
-    return at
 
 
 def _failed_faces(step: TimeStep, x: Tensor) -> int:

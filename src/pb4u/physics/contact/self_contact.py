@@ -96,7 +96,7 @@ class ClothPairs:
         near = None if known is None else known.pairs
         among = None
         if garments.part_of is not None:
-            among = np.arange(len(points)) < len(x)
+            among = np.zeros(len(points), dtype=bool)
             among[: len(x)] = ~garments.pinned.numpy()
         pairs = tree.pairs(points, reach, way, near, lasting=True, among=among, obstacle_reach=_BODY_REACH)
         if obstacle is not None and obstacle.passed.any():

@@ -59,9 +59,10 @@ class PatchBasis:
         edges = garments.edges.numpy()
         blocks = []
         column = 0
+        # Of a part of a garment, what does not move is most of it.
+        moving = free if garments.part_of is not None and free.any() else np.ones_like(free)
         for first, stop in pairwise(offsets):
-            # Of a part of a garment, what does not move is most of it.
-            members = np.arange(first, stop) if garments.part_of is None else first + np.flatnonzero(free[first:stop])
+            members = first + np.flatnonzero(moving[first:stop])
             if not len(members):
                 continue
             values, rows, columns = _affine_functions(rest[members])
