@@ -120,6 +120,16 @@ def test_contact_that_moves_cloth_without_giving_it_speed_leaves_no_speed_behind
     torch.testing.assert_close(replace(step, state=pushed).free_move, replace(step, state=after).free_move)
 
 
+@pytest.mark.parametrize("rule", INTEGRATORS.values())
+def test_contact_stops_a_state_that_no_step_led_to(rule: Integrator) -> None:
+    x = packed(sheet(1, 1)).rest_positions
+    placed = State(x, torch.zeros_like(x), 0)
+    stopped = rule.turned_aside(placed, DT, x + 0.01)
+    torch.testing.assert_close(stopped.positions, x + 0.01)
+    torch.testing.assert_close(stopped.velocities, torch.full_like(x, 0.01 / DT))
+    assert (stopped.frame, stopped.history) == (0, ())
+
+
 def test_a_vertex_that_contact_struck_is_not_thrown_back() -> None:
     garments = packed(sheet(1, 1))
     x, v = garments.rest_positions, torch.full_like(garments.rest_positions, -1.0)

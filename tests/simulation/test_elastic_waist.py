@@ -33,6 +33,14 @@ def test_a_skirt_stays_up_by_its_elastic_alone(elastic: dict, falls: bool) -> No
         assert np.ptp(sunk) < 0.004
 
 
+def test_elastic_closes_over_other_cloth() -> None:
+    worn = [WornGarment(name, "denim", triangles=1500) for name in ("tshirt", "skirt")]
+    shape = {"height": 0.2, "weight": 0.33, "muscle": 0.57}
+    scene = pb4u.make_scene(worn, motion="turn", body_shape=shape, frames=1, lead_in=0)
+    first = pb4u.load_simulator("quick-solver").simulate(scene).positions[0]
+    assert np.isfinite(first).all()
+
+
 def pull(garment: Garment) -> float:
     """Tension of the cloth round the body times its length [J], where it is worn."""
     garments = packed(garment)

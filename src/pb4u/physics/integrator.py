@@ -180,6 +180,8 @@ def _lead(growth: Tensor) -> Tensor:
 
 def _begun_anew(state: State, struck: Tensor) -> State:
     """`state` with the mean velocity of its step at the vertices `struck` (vertices,), which forget the step."""
+    if not state.history:  # no step led to it: it is where a simulation begins
+        return state
     step, anew = _StepBefore(*state.history), struck[:, None]
     velocities = torch.where(anew, step.mean_velocity(state.velocities), state.velocities)
     lag, lead = torch.where(anew, 0.0, step.lag), torch.where(anew, 1.0, step.lead)
