@@ -13,7 +13,7 @@ from test_pierced_edges import pierced
 from pb4u.garment.dressing import AttachedPlacement
 from pb4u.geometry.principal_stretch import face_strains
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.physics.solver.implicit_steps import free_flight, substep_count
+from pb4u.physics.solver.implicit_steps import free_flight
 from pb4u.physics.solver.newton_solver import Solution, Solver
 from pb4u.physics.step_potential import StepPotential
 from pb4u.physics.time_step import TimeStep
@@ -58,11 +58,13 @@ def test_a_prediction_that_iterations_leave_torn_is_made_anew() -> None:
     refined = SolverRefinement(POTENTIAL, 1).refine(step, left_behind(step))
     garments = step.garments
     assert face_strains(refined.positions, garments.faces, garments.inverse_rest_shape).max() > 0.6
-    result = SafeguardedRefinement(POTENTIAL, 1, lambda _: made.append(1)).refine(step, left_behind(step))
-    assert made == [1]
+    result = SafeguardedRefinement(POTENTIAL, 1, lambda solved: made.append(solved.iterations)).refine(
+        step, left_behind(step)
+    )
+    assert made == [refinement._MOST_PRESSING], "these leave nothing strained"
     solved, energies = ImplicitSteps(POTENTIAL).refine(step, step.state), POTENTIAL.of(step).energies
     over = [float(energies(x.positions).total - energies(solved.positions).total) for x in (refined, result)]
-    assert over[1] < 0.05 * over[0]
+    assert over[1] < 0.1 * over[0]
 
 
 @pytest.mark.parametrize(("freed", "counted"), [(0.9e-3, []), (1.3e-3, [1])])
@@ -78,6 +80,10 @@ def test_strained_cloth_that_iterations_free_of_nothing_is_left(
     monkeypatch.setattr(refining.solver, "minimise", lambda *_, **__: torn)
     refining.refine(step, left_behind(step))
     assert made == counted
+    # Nor is cloth made again that was strained where the step began.
+    strained = replace(step, state=replace(step.state, positions=torn.positions))
+    refining.refine(strained, left_behind(step))
+    assert made == counted
 
 
 def test_a_prediction_that_iterations_leave_hooked_is_made_anew() -> None:
@@ -85,8 +91,8 @@ def test_a_prediction_that_iterations_leave_hooked_is_made_anew() -> None:
     step, _ = pierced(-0.08, 0.0)
     refined = SolverRefinement(POTENTIAL, 1).refine(step, step.state)
     assert newly_pierced(step, refined.positions) > 0
-    result = SafeguardedRefinement(POTENTIAL, 1, lambda _: made.append(1)).refine(step, step.state)
-    assert made == [1]
+    result = SafeguardedRefinement(POTENTIAL, 1, lambda solved: made.append(solved.converged)).refine(step, step.state)
+    assert made == [True], "to the rough tolerance"
     assert newly_pierced(step, result.positions) == 0
 
 
@@ -103,64 +109,66 @@ def test_what_a_push_leaves_inside_the_body_is_pressed_out_and_gains_no_speed() 
     assert pressed.velocities is inside.velocities
 
 
-@pytest.mark.parametrize(("solves", "parts"), [(True, 1), (True, 3), (False, 1)])
-def test_cloth_that_bodies_turned_aside_is_solved_anew_and_the_less_strained_kept(
-    monkeypatch: pytest.MonkeyPatch, solves: bool, parts: int
+@pytest.mark.parametrize(("left", "best"), [(0.0, "smoothed"), (0.3, "smoothed"), (0.3, "solved"), (2.0, "turned")])
+def test_cloth_that_bodies_turned_aside_is_smoothed_or_solved_anew_and_the_least_strained_kept(
+    monkeypatch: pytest.MonkeyPatch, left: float, best: str
 ) -> None:
-    potential = IncrementalPotential().with_self_contact(bodies=True)
+    """The whole step is solved where smoothing leaves much."""
+    potential, starts = IncrementalPotential().with_self_contact(bodies=True), list[torch.Tensor]()
     record = RunRecord(solver_iterations=[7, 2])
     step = first_step(4.0, potential)
     refining = SolverRefinement(potential, 5, retried=record.count_retried)
-    edges = 1e-4 * substep_count(step, 1e-4) / min(step.garments.mean_edge_lengths)
-    monkeypatch.setattr(refinement, "_EDGES_IN_A_PART", 1.01 * edges / parts)
     behind = step.reached(free_flight(step))
     turned = past_bodies(potential.self_contact, step, behind, apart=True)
     assert float((turned.positions - behind.positions).norm(dim=1).max()) > refinement._TURNED_ASIDE
     strained = refinement._failed_faces(step, turned.positions)
-    assert strained > 0
-    if not solves:
-        crumpled = refining._pressing.minimise(potential.of(step), step.state.positions, 1)
-        worse = replace(crumpled, positions=crumpled.positions * torch.tensor([3.0, 1.0, 1.0]))
-        for solver in (refining._local, refining._pressing):
-            monkeypatch.setattr(solver, "minimise", lambda *_, **__: worse)
+    assert strained > refinement._failed_faces(step, behind.positions)
+    faces, solves = len(step.garments.faces), {"smoothed": refining._local, "solved": refining._pressing}
+    shares = {"turned": 0.5, "smoothed": left, "solved": 0.1 if best == "solved" else 1.0}
+    results = {"turned": turned.positions}
+
+    def noting(name: str) -> Callable[..., Solution]:
+        solve = solves[name].minimise
+
+        def noted(of: StepPotential, start: torch.Tensor, *rest: object, **named: object) -> Solution:
+            starts.append(start)
+            solved = solve(of, start, *rest, **named)
+            results[name] = solved.positions
+            return solved
+
+        return noted
+
+    def are_failed(_: TimeStep, x: torch.Tensor) -> torch.Tensor:
+        share = next((shares[name] for name, result in results.items() if torch.equal(result, x)), 0.0)
+        return torch.arange(faces) < share * faces
+
+    for name, solver in solves.items():
+        monkeypatch.setattr(solver, "minimise", noting(name))
+    monkeypatch.setattr(refinement, "_are_failed", are_failed)
     kept = refining.pressed_past_bodies(step, behind, potential.self_contact)
-    if solves:
-        assert refinement._failed_faces(step, kept.positions) < strained
-    else:
-        assert torch.equal(kept.positions, turned.positions)
+    assert torch.equal(starts[0], turned.positions)
+    assert len(starts) == (2 if left else 1)
+    assert torch.equal(kept.positions, results[best])
     assert record.retried == 1
     assert record.solver_iterations[0] == 7
     assert record.solver_iterations[1] > 2
 
 
-def test_a_few_iterations_from_where_bodies_turned_cloth_aside_come_before_a_retry(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(("strained_before", "retried"), [(0, 1), (1, 1), (2, 0), (3, 0)])
+def test_cloth_is_smoothed_where_more_of_it_is_strained_than_before_bodies_turned_it_aside(
+    monkeypatch: pytest.MonkeyPatch, strained_before: int, retried: int
 ) -> None:
-    potential, starts, made = IncrementalPotential().with_self_contact(bodies=True), list[torch.Tensor](), list[int]()
+    potential, record = IncrementalPotential().with_self_contact(bodies=True), RunRecord()
     step = first_step(4.0, potential)
-    refining = SolverRefinement(potential, 5, retried=lambda solution: made.append(solution.iterations))
+    refining = SolverRefinement(potential, 5, retried=record.count_retried)
     behind = step.reached(free_flight(step))
-    turned = past_bodies(potential.self_contact, step, behind, apart=True).positions
 
-    def noting(solve: Callable[..., Solution]) -> Callable[..., Solution]:
-        def noted(of: StepPotential, start: torch.Tensor, *rest: object, **named: object) -> Solution:
-            starts.append(start)
-            return solve(of, start, *rest, **named)
+    def are_failed(_: TimeStep, x: torch.Tensor) -> torch.Tensor:
+        return torch.arange(len(step.garments.faces)) < (strained_before if x is behind.positions else 2)
 
-        return noted
-
-    for solver in (refining._local, refining._pressing):
-        monkeypatch.setattr(solver, "minimise", noting(solver.minimise))
-    kept = refining.pressed_past_bodies(step, behind, potential.self_contact)
-    assert torch.equal(starts[0], turned)
-    assert len(starts) == 1
-    assert refinement._failed_faces(step, kept.positions) == 0
-    # Where these leave any face strained, the step is solved from its warm start as well.
-    monkeypatch.setattr(refinement, "_failed_faces", lambda *_: 1)
+    monkeypatch.setattr(refinement, "_are_failed", are_failed)
     refining.pressed_past_bodies(step, behind, potential.self_contact)
-    assert len(starts) > 2
-    assert not torch.equal(starts[-1], turned)
-    assert len(made) == 2
+    assert record.retried == retried
 
 
 def test_a_retry_moves_the_cloth_around_what_bodies_turned_aside(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -203,15 +211,15 @@ def test_a_retry_goes_in_parts_by_the_edges_of_what_is_strained(monkeypatch: pyt
 
 
 @pytest.mark.parametrize(
-    ("strained", "ends", "last"),
-    [([3, 3], True, 10), ([4, 2, 1, 1], True, 20), ([3, 0], True, 10), ([3, 0, 0, 0], False, None)],
+    ("strained", "left", "last"),
+    [([3, 3], 0, 10), ([4, 2, 1, 1], 0, 20), ([3, 0], 0, 10), ([4, 2], 2, 10), ([3, 0, 0, 0], None, None)],
 )
-def test_a_retry_ends_where_no_fewer_faces_are_strained_and_perhaps_where_none_is(
-    monkeypatch: pytest.MonkeyPatch, strained: list[int], ends: bool, last: int | None
+def test_a_retry_ends_where_no_fewer_faces_are_strained_and_perhaps_where_few_are(
+    monkeypatch: pytest.MonkeyPatch, strained: list[int], left: int | None, last: int | None
 ) -> None:
     step, counts = first_step(speed=0.3), iter(strained)
     monkeypatch.setattr(refinement, "_failed_faces", lambda *_: next(counts))
-    smooth, made = refinement._Smoothing(step, ends=ends), range(1, 5 * len(strained) + 1)
+    smooth, made = refinement._Smoothing(step, left=left), range(1, 5 * len(strained) + 1)
     ended = [number for number in made if smooth.ended(step.state.positions)]
     assert ended == ([] if last is None else [last])
 
@@ -221,7 +229,7 @@ def test_smoothing_of_crumpled_cloth_goes_on_while_strained_faces_halve(monkeypa
     monkeypatch.setattr(refinement, "_failed_faces", lambda *_: next(counts))
 
     def ended(failed: int) -> int:
-        smooth = refinement._Smoothing(step, ends=True, failed=failed, share=0.5)
+        smooth = refinement._Smoothing(step, left=0, failed=failed, share=0.5)
         return next(number for number in range(1, 100) if smooth.ended(step.state.positions))
 
     assert ended(17) == 5
