@@ -219,7 +219,7 @@ def test_a_retry_ends_where_no_fewer_faces_are_strained_and_perhaps_where_few_ar
 ) -> None:
     step, counts = first_step(speed=0.3), iter(strained)
     monkeypatch.setattr(refinement, "_failed_faces", lambda *_: next(counts))
-    smooth, made = refinement._Smoothing(step, left=left), range(1, 5 * len(strained) + 1)
+    smooth, made = refinement._Smoothing(step, allowed=left), range(1, 5 * len(strained) + 1)
     ended = [number for number in made if smooth.ended(step.state.positions)]
     assert ended == ([] if last is None else [last])
 
@@ -229,7 +229,7 @@ def test_smoothing_of_crumpled_cloth_goes_on_while_strained_faces_halve(monkeypa
     monkeypatch.setattr(refinement, "_failed_faces", lambda *_: next(counts))
 
     def ended(failed: int) -> int:
-        smooth = refinement._Smoothing(step, left=0, failed=failed, share=0.5)
+        smooth = refinement._Smoothing(step, allowed=0, failed=failed, share=0.5)
         return next(number for number in range(1, 100) if smooth.ended(step.state.positions))
 
     assert ended(17) == 5

@@ -168,15 +168,15 @@ class SolverRefinement:
         pressed, crumpled = self.potential.pressed_by_bodies(), aside > least
         crumpled[garments.faces[are_failed].reshape(-1)] = True
         around = step.around(_near(garments, crumpled))
-        smooth, most = _Smoothing(step, left=pinched, failed=failed, share=_SMOOTHED), _most_iterations(around)
+        smooth, most = _Smoothing(step, allowed=pinched, failed=failed, share=_SMOOTHED), _most_iterations(around)
         smoothed = self._local.minimise(
             pressed.of(around), reached.positions, most, until=smooth.ended, begun=reached.positions
         )
-        found, solution = [reached, step.turned_aside(reached, smoothed.positions)], smoothed
+        states, solution = [reached, step.turned_aside(reached, smoothed.positions)], smoothed
 
         def solve(part: TimeStep) -> Solution:
             start = past_bodies(self_contact, part, part.reached(self._warm_start.positions(part)), apart=False)
-            smooth = _Smoothing(part, left=pinched)
+            smooth = _Smoothing(part, allowed=pinched)
             return self._pressing.minimise(
                 pressed.of(part), start.positions, _most_iterations(step), until=smooth.ended
             )
@@ -185,10 +185,10 @@ class SolverRefinement:
             strained = garments.vertex_garment[garments.faces[are_failed, 0]]
             longest = _EDGES_IN_A_PART * min(garments.mean_edge_lengths[number] for number in set(strained.tolist()))
             retried, solution = in_parts(step, substep_count(step, longest), solve)
-            found.append(retried)
+            states.append(retried)
         if self.retried:
             self.retried(solution)
-        return min(found, key=lambda each: _failed_faces(step, each.positions))
+        return min(states, key=lambda end: _failed_faces(step, end.positions))
 
 
 class ImplicitSteps(SolverRefinement):
@@ -257,7 +257,7 @@ class SafeguardedRefinement(SolverRefinement):
             return step.reached(refined.positions, refined.struck)
 
         def solve(part: TimeStep) -> Solution:
-            start, smooth = self._warm_start.positions(part), _Smoothing(part, left=None if pierced else pinched)
+            start, smooth = self._warm_start.positions(part), _Smoothing(part, allowed=None if pierced else pinched)
             return self._rough.minimise(self.potential.of(part), start, _most_iterations(step), until=smooth.ended)
 
         def quality(x: Tensor, residual: float) -> tuple[int, bool, float]:
@@ -275,15 +275,15 @@ class _Smoothing:
 
     Args:
         step: the time step.
-        left: number of strained faces from which down it ends; None goes on to the tolerance where there is none.
+        allowed: number of strained faces from which down it ends; None goes on to the tolerance where there is none.
         failed: number of strained faces where it begins.
         share: of the strained faces some iterations before, from which on it ends.
     """
 
     def __init__(
-        self, step: TimeStep, *, left: int | None = None, failed: float = math.inf, share: float = 1.0
+        self, step: TimeStep, *, allowed: int | None = None, failed: float = math.inf, share: float = 1.0
     ) -> None:
-        self.step, self.left, self.failed, self.share = step, left, failed, share
+        self.step, self.allowed, self.failed, self.share = step, allowed, failed, share
         self.iterations = 0
 
     def ended(self, x: Tensor) -> bool:
@@ -292,8 +292,8 @@ class _Smoothing:
         if self.iterations % _MOST_PRESSING:
             return False
         before, self.failed = self.failed, _failed_faces(self.step, x)
-        if self.failed <= (self.left or 0):
-            return self.left is not None
+        if self.failed <= (self.allowed or 0):
+            return self.allowed is not None
         return self.failed >= self.share * before
 
 
