@@ -130,16 +130,16 @@ def test_what_does_not_exist_is_found() -> None:
         understood(["pip", "install", "pb4u[viewer]"])
 
 
-def made_small(words: list[str], model: str = "skinning") -> list[str]:
+def made_small(words: list[str], model: str = "skinning", sizes: dict[str, str] = SMALL) -> list[str]:
     """The same command on a small mesh for a few frames, by `model` unless it names one."""
     verb, rest = words[1], list(words[2:])
     if verb == "check" and has_built_in_garment(rest):
-        return [*words, "--triangles", SMALL["--triangles"]]
+        return [*words, "--triangles", sizes["--triangles"]]
     if verb == "assets" and rest[:1] == ["write"] and rest[1] in garment_names() and "--triangles" not in rest:
         return [*words, "--triangles", "1000"]  # fewer are refused as a file of one's own
     if verb != "simulate":
         return words
-    for flag, value in SMALL.items():
+    for flag, value in sizes.items():
         places = [k for k, word in enumerate(rest) if word == flag]
         for k in places:
             name, equals, _ = rest[k + 1].rpartition("=")

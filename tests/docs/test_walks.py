@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.body.characters import write_woman
 from tests.body.smpl_files import write_smpl_woman
-from tests.docs.test_documented_commands import ROOT, Block, blocks, commands, made_small, run
+from tests.docs.test_documented_commands import ROOT, SMALL, Block, blocks, commands, made_small, run
 from tests.motion.test_joint_names import renaming
 from tests.motion.test_smpl_recordings import write_amass
 from tests.pattern.patterns import skirt
@@ -30,10 +30,8 @@ PAGE = "docs/guides/from_start_to_end.md"
 SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", (ROOT / PAGE).read_text(), re.MULTILINE | re.DOTALL))
 MIXAMO = {theirs: ours for ours, theirs in renaming("MakeHuman").items()}
 
-
-def worn_in(words: list[str]) -> list[str]:
-    """The same command with a mesh and a lead-in with which hanging arms leave sleeves whole."""
-    return [{"450": "1500", "1": "10"}.get(word, word) for word in words]
+WORN = SMALL | {"--triangles": "1500", "--lead-in": "10"}
+"""With fewer triangles and frames before, arms that hang along the trunk tear sleeves."""
 
 
 def character(folder: Path) -> None:
@@ -125,7 +123,7 @@ def test_a_section_runs_from_top_to_bottom(
     prepare(tmp_path)
     (text,) = re.findall(r"^```sh\n(.*?)^```", SECTIONS[title], re.MULTILINE | re.DOTALL)
     for words in commands(Block(PAGE, "sh", text)):
-        small = [*words, "--triangles", "450"] if words[1] == "dress" else worn_in(made_small(words, "quick-solver"))
+        small = [*words, "--triangles", "450"] if words[1] == "dress" else made_small(words, "quick-solver", WORN)
         ended = run(small, monkeypatch)
         streams = capsys.readouterr()
         assert ended == 0, f"{' '.join(small)}\n{streams.out}\n{streams.err}"

@@ -179,7 +179,7 @@ def test_stack_of_sheets(example: Run, tmp_path: Path) -> None:
     assert len(np.unique(trajectory.header.vertex_garment)) == 3
     speeds = np.linalg.norm(trajectory.velocities, axis=2).mean(axis=1)
     assert speeds.max() > 0.3, "they fell"
-    assert speeds[-8:].min() < 0.03 * speeds.max(), "and come to rest, but for a fold that slips"
+    assert speeds[-8:].min() < 0.02 * speeds.max(), "and come to rest, but for a fold that slips"
     # In the order in which they were stacked.
     tops = [trajectory.positions[-1, trajectory.header.vertex_garment == k, 1].max() for k in range(3)]
     assert (np.diff(tops) > 0).all()
