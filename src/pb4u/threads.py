@@ -13,7 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from itertools import count
-from threading import Lock
+from threading import Lock, local
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
@@ -57,8 +57,19 @@ def without_library_threads() -> Iterator[None]:
     For torch this applies to this thread only, for numpy and scipy to the whole process. Torch's own setting would be
     that of every thread begun meanwhile, for good.
     """
-    with _controller("openmp").limit(limits=1), _products_limited:
+    if getattr(_alone, "kept", False):
         yield
+        return
+    with _controller("openmp").limit(limits=1), _products_limited:
+        _alone.kept = True
+        try:
+            yield
+        finally:
+            _alone.kept = False
+
+
+_alone = local()
+"""Whether operations are kept on a thread already: to do so takes as long as a small part of a step."""
 
 
 class _ProductsLimited:
@@ -123,17 +134,17 @@ def parallel_map(function: Callable[[Part], Result], parts: Sequence[Part]) -> l
 
     def work() -> None:
         try:
-            with without_library_threads():
-                while not failures and (number := next(numbers)) < len(parts):
-                    results[number] = function(parts[number])
+            while not failures and (number := next(numbers)) < len(parts):
+                results[number] = function(parts[number])
         except BaseException as failure:  # raised again below, by the thread that asked
             failures.append(failure)
 
-    begun = [_helpers().submit(work) for _ in range(helpers)]
-    work()
-    for helper in begun:
-        if not helper.cancel():
-            helper.result()
+    with without_library_threads():
+        begun = [_helpers().submit(work) for _ in range(helpers)]
+        work()
+        for helper in begun:
+            if not helper.cancel():
+                helper.result()
     if failures:
         raise failures[0]
     return [results[number] for number in range(len(parts))]
@@ -155,7 +166,11 @@ def begun(function: Callable[[], Result]) -> Callable[[], Result]:
 
 @cache
 def _helpers() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(max(1, thread_count() - 1))
+    def keep_operations() -> None:
+        # For good: the threads are ours. Who gives them parts limits products meanwhile.
+        _controller("openmp").limit(limits=1)
+
+    return ThreadPoolExecutor(max(1, thread_count() - 1), initializer=keep_operations)
 
 
 def prefetch(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.collision.crossing_free_states import Surface, folded, nested, stack
 
+from pb4u.collision import surface_tree
 from pb4u.collision.element_distance import nearest
 from pb4u.collision.element_pairs import ElementPairs
 from pb4u.collision.surface_tree import SurfaceTree
@@ -217,6 +218,24 @@ def test_pairs_of_obstacles_alone_are_all_that_have_one(name: str) -> None:
     some = tree.pairs(surface.before, 5e-3, moves, among=np.arange(len(surface.rest)) >= first)
     assert keys(some) == keys(every, mixed)
     assert len(keys(some)) == len(some)
+
+
+@pytest.mark.parametrize("name", ["stack", "worlds"])
+@pytest.mark.parametrize("asked", ["all", "obstacles", "some"])
+def test_a_search_in_parts_finds_the_same_in_the_same_order(
+    name: str, asked: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    surface, rng = SURFACES[name], np.random.default_rng(9)
+    count = len(surface.rest)
+    first = int(np.flatnonzero(surface.part == surface.part.max())[0])
+    tree = SurfaceTree(surface.rest, surface.faces, surface.edges, surface.part, surface.world, count - first)
+    among = {"all": None, "obstacles": np.arange(count) >= first, "some": rng.random(count) < 0.1}[asked]
+    moves, found = 5e-3 * rng.normal(size=surface.before.shape), []
+    for few in (count, 0):
+        monkeypatch.setattr(surface_tree, "_FEW", few)
+        found.append(tree.pairs(surface.before, 5e-3, moves, among=among))
+    assert len(found[0])
+    np.testing.assert_array_equal(found[0].corners, found[1].corners)
 
 
 def _nearest_on_the_way(surface: Surface, x: np.ndarray, moves: np.ndarray) -> np.ndarray:

@@ -58,6 +58,21 @@ class BoxTree(NamedTuple):
         children, ranges, roots = _split(np.ascontiguousarray(centres, dtype=np.float64), face_part, order, spans)
         return BoxTree(order, children, ranges, roots)
 
+    def halves(self, a: int, b: int) -> list[tuple[int, int]]:
+        """Pairs of nodes below a pair of nodes, in the order in which a search of it goes through them.
+
+        Args:
+            a: a node.
+            b: the same, or another of which none is above the other.
+        """
+        (left, right), others = self.children[a], self.children[b]
+        if a == b:
+            return [(left, left), (right, right), (left, right)] if left >= 0 else [(a, b)]
+        (size_a, size_b), inner_b = (int(np.diff(self.ranges[node])[0]) for node in (a, b)), others[0] >= 0
+        if left >= 0 and (size_a >= size_b or not inner_b):
+            return [(right, b), (left, b)]
+        return [(a, others[1]), (a, others[0])] if inner_b else [(a, b)]
+
     def fitted(self, face_boxes: np.ndarray) -> Boxes:
         """Boxes of the nodes and faces.
 

@@ -28,14 +28,17 @@ _ROOM = 0.1
 _MOST_STRAYING = 0.5
 """Share of the vertices that may stray before the whole surface is searched again."""
 
-_FEW = 4096
-"""Vertices up to which one thread searches: 6 ms, beside which it takes long to wake another processor."""
+_FEW = 256
+"""Vertices up to which one thread searches around them: a millisecond, of which it takes a tenth to wake another."""
+
+_FEW_PAIRS = 4096
+"""Pairs up to which one thread looks through a list of them."""
 
 _PIECES = 4
 """Pieces in which threads look through a list of pairs: as many as of the surface."""
 
 _HALVED = 2
-"""How often the surface is halved for the parts that threads search: four pieces, and the three seams between them."""
+"""How often the surface is halved for the parts that threads search, twice more beside obstacles."""
 
 
 class _Fitted(NamedTuple):
@@ -181,7 +184,7 @@ class SurfaceTree:
         self, candidates: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, moves: np.ndarray, reaches: Reaches
     ) -> tuple[Neighbourhood, np.ndarray]:
         """Those of the `candidates` that come near, or do so after the move; and which (pairs,) do on it."""
-        pieces = _PIECES if len(candidates[0]) + len(candidates[1]) > _FEW else 1
+        pieces = _PIECES if len(candidates[0]) + len(candidates[1]) > _FEW_PAIRS else 1
         parts = [(part, kind) for kind in (True, False) for part in np.array_split(candidates[not kind], pieces)]
 
         def lasting(part: tuple[np.ndarray, bool]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -218,7 +221,11 @@ class SurfaceTree:
         others = self._obstacles if mixed else self._all
         whole = np.count_nonzero(asked.vertices) > _FEW
         pieces = _PIECES if whole else 1
-        parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
+        parts = [self._parts]
+        if whole:
+            nodes, mates = self._parts.T, self._parts.T[::-1]
+            concern = (asked.nodes[nodes] & others.nodes[mates]).any(axis=0)
+            parts = [self._parts[k : k + 1] for k in np.flatnonzero(concern)]
         # Cloth on skin lies along it: planes of its faces keep most apart whose boxes meet.
         way = Sweep(vertices, moves, np.concatenate([vertices, vertices + moves], axis=1), reaches, 2.0 * room)
         searches: list[Callable[[], Any]] = [
@@ -239,7 +246,7 @@ class SurfaceTree:
             )
             for kind in (0, 1)
         )
-        if of_obstacles:
+        if of_obstacles and not mixed:
             vertex_faces, edge_edges = (
                 corners[(corners < self.first_obstacle).any(axis=1)] for corners in (vertex_faces, edge_edges)
             )
@@ -278,15 +285,10 @@ class SurfaceTree:
 
     @cached_property
     def _parts(self) -> np.ndarray:
-        """Pairs (parts, 2) int64 of nodes, a search of all of which is one of everything."""
+        """Pairs (parts, 2) int64 of nodes, a search of all of which, one after another, is one of everything."""
         parts = [(root, root) for root in self.boxes.roots]
-        children = self.boxes.children
-        for _ in range(_HALVED):
-            finer = []
-            for a, b in parts:
-                left, right = children[a]
-                finer += [(left, left), (right, right), (left, right)] if a == b and left >= 0 else [(a, b)]
-            parts = finer
+        for _ in range(_HALVED + 2 * (self.first_obstacle < len(self.rest))):
+            parts = [finer for part in parts for finer in self.boxes.halves(*part)]
         return np.asarray(parts, dtype=np.int64).reshape(-1, 2)
 
 

@@ -20,7 +20,7 @@ from pb4u.physics.terms.pair_stiffness import PairStiffness
 from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
-from pb4u.threads import parallel_map
+from pb4u.threads import begun, parallel_map
 
 if TYPE_CHECKING:
     from pb4u.physics.incremental_potential import IncrementalPotential
@@ -31,8 +31,11 @@ Result = TypeVar("Result")
 _STRUCK = 0.1
 """Share of the weight of a vertex with which contact has to push for its velocity to have jumped."""
 
-_FEW = 4096
-"""Vertices up to which one thread evaluates all terms: 2 ms, beside which it takes long to begin another."""
+_CACHE_LINE = 16
+"""Numbers of eight bytes that no processor fetches together."""
+
+_FEW = 2048
+"""Vertices up to which one thread evaluates all terms: 0.7 ms, beside which it takes long to begin another."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,10 +240,13 @@ class StepPotential:
     def _added(self, x: Tensor, *, gradient: bool) -> tuple[Energies, Tensor]:
         """Energies, and the gradient (vertices, 3) [N] of their total where it is asked for, by the terms' loops."""
         contacts, terms, at = self._contacts_at(x), self.potential.terms, as_float64(x)
-        energies = np.zeros((len(terms), self.step.garments.garment_count))
-        # One for each term, so that the sum is the same in whatever order these are ready.
+        # One for each term, so that the sum is the same in whatever order these are ready; no two share a cache line,
+        # which threads would take from one another with every element.
+        garment_count = self.step.garments.garment_count
+        energies = np.zeros((len(terms), garment_count + _CACHE_LINE))[:, :garment_count]
         slopes = np.zeros((len(terms), len(at) if gradient else 0, 3))
-        self._each(lambda k: terms[k].add(self.step, contacts, at, energies[k], slopes[k]), range(len(terms)))
+        longest_first = sorted(range(len(terms)), key=lambda k: -terms[k].size(contacts))
+        self._each(lambda k: terms[k].add(self.step, contacts, at, energies[k], slopes[k]), longest_first)
         table = torch.from_numpy(energies).to(x.dtype)
         found = Energies({term.name: part for term, part in zip(terms, table.unbind(0), strict=True)}, table)
         return found, torch.from_numpy(slopes.sum(axis=0)).to(x.dtype)
@@ -292,27 +298,38 @@ class StepPotential:
         parts = {term.name: term.elements(self.step, self.contacts) for term in self.potential.terms}
         return {name: part for name, part in parts.items() if part is not None}
 
-    def stiffness(self, x: Tensor, pattern: StiffnessPattern) -> Stiffness:
-        """Second derivative, or an approximation, of the terms that couple `elements`.
+    def begin_stiffness(self, x: Tensor, pattern: StiffnessPattern) -> Callable[[], Stiffness]:
+        """Begin to sum what of the `stiffness` no contact changes, while contacts are looked up; called, it is there.
 
         Args:
             x: (vertices, 3) [m] next positions.
             pattern: of the `elements`.
         """
-        contacts, terms = self._contacts_at(x), self._coupling(pattern)
+        return begun(lambda: self._add_stiffness(x, pattern, pattern.empty(), reads_contacts=False))
 
-        def summed(those: list[CompiledTerm]) -> Stiffness:
-            sums = pattern.empty()
-            for term in those:
-                term.add_stiffness(contacts, as_float64(x), pattern.slots[term.name], sums)
-            return sums
+    def stiffness(
+        self, x: Tensor, pattern: StiffnessPattern, begun_sums: Callable[[], Stiffness] | None = None
+    ) -> Stiffness:
+        """Second derivative, or an approximation, of the terms that couple `elements`.
 
-        # Stretch and bending take most of the time, and as long.
-        sums, *others = self._each(summed, [terms[::2], terms[1::2]] if self._large else [terms])
-        for other in others:
-            np.add(sums.positive, other.positive, out=sums.positive)
-            np.add(sums.compressive, other.compressive, out=sums.compressive)
+        Args:
+            x: (vertices, 3) [m] next positions.
+            pattern: of the `elements`.
+            begun_sums: what `begin_stiffness` gave for them; None begins here.
+        """
+        sums = (begun_sums or self.begin_stiffness(x, pattern))()
+        self._add_stiffness(x, pattern, sums, reads_contacts=True)
         pattern.hold(sums)
+        return sums
+
+    def _add_stiffness(
+        self, x: Tensor, pattern: StiffnessPattern, sums: Stiffness, *, reads_contacts: bool
+    ) -> Stiffness:
+        """Add to `sums` what the terms give that read contacts, or the others."""
+        contacts = self._contacts_at(x) if reads_contacts else self.contacts
+        for term in self._coupling(pattern):
+            if term.term.reads_contacts == reads_contacts:
+                term.add_stiffness(contacts, as_float64(x), pattern.slots[term.name], sums)
         return sums
 
     def tangents(self, x: Tensor, pattern: StiffnessPattern) -> list[Tangent]:

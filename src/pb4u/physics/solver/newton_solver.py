@@ -25,7 +25,7 @@ from pb4u.physics.solver.preconditioner import PRECISION, AgeingPreconditioner, 
 from pb4u.physics.solver.world_sums import each_vertex, factors, norm, squared_ratios, sums
 from pb4u.physics.step_potential import Energies, StepPotential
 from pb4u.physics.terms.pair_stiffness import PairStiffness
-from pb4u.physics.terms.stiffness_matrix import StiffnessPattern
+from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.time_step import DivergedError
 from pb4u.scene.packed import PackedGarments
 from pb4u.threads import without_library_threads
@@ -183,6 +183,7 @@ class Solver:
         contact = TrackedContact(potential, start)
         x, iteration, damping_level, decrease, ended = start, 0, -1, float("inf"), False
         while True:
+            stiffness = potential.begin_stiffness(x, self._pattern) if iteration < limit else None
             frozen = contact.potential_at(x).with_cloth(cloth)
             energies, gradient = frozen.energies_and_gradient(x)
             gradient = torch.where(self._free[:, None], gradient, 0.0)
@@ -195,7 +196,7 @@ class Solver:
             if solved or iteration >= limit or decrease < self.settled or ended:
                 return Solution(x, energies, frozen.struck(x), residual, iteration, solved, decrease)
             highest = min(damping_level + 1, len(_DAMPING_LEVELS) - 1)
-            newton, damping_level = self._direction(frozen, x, gradient, highest, self._preconditioner)
+            newton, damping_level = self._direction(frozen, x, gradient, stiffness, highest)
             moved = self._line_search(frozen, x, gradient, energies.per_world(garments), newton)
             if moved is None:
                 return Solution(x, energies, frozen.struck(x), residual, iteration, False, decrease)
@@ -236,11 +237,12 @@ class Solver:
         frozen: StepPotential,
         x: Tensor,
         gradient: Tensor,
+        begun_stiffness: Callable[[], Stiffness] | None,
         damping_level: int,
-        preconditioner: AgeingPreconditioner,
     ) -> tuple[LinearSolution, int]:
         """Newton direction, a direction of negative curvature where there is one, and the damping level taken."""
-        garments, stiffness = frozen.step.garments, frozen.stiffness(x, self._pattern)
+        garments, preconditioner = frozen.step.garments, self._preconditioner
+        stiffness = frozen.stiffness(x, self._pattern, begun_stiffness)
         pairs = PairStiffness.summed(frozen.pair_stiffness(x), self._pattern.free)
         preconditioner.update(stiffness.matrix(), pairs)
         mass = (garments.vertex_masses / frozen.step.inertial_dt**2).numpy()

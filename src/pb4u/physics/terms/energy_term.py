@@ -95,6 +95,14 @@ class EnergyTerm(ABC):
             values = self.energies(step, contacts, at)
         energies += as_float64(values)
 
+    def size(self, contacts: ContactSet) -> int:
+        """How much its loops go through, in corners of elements; 0 of a term without.
+
+        Args:
+            contacts: contacts of the step.
+        """
+        return 0
+
     def _added(
         self, step: TimeStep, contacts: ContactSet, x: Tensor, *, gradient: bool = True
     ) -> tuple[Tensor, Tensor]:
@@ -197,6 +205,9 @@ class CompiledTerm(EnergyTerm):
     ) -> None:
         for record in self._records_at(contacts):
             self._loops.add(x, *record, energies, gradient)
+
+    def size(self, contacts: ContactSet) -> int:
+        return sum(record.corners.size for record in self._records_at(contacts))
 
     def add_stiffness(self, contacts: ContactSet, x: np.ndarray, slots: np.ndarray, stiffness: Stiffness) -> None:
         """Add the second derivative, or an approximation.
