@@ -103,10 +103,11 @@ class IncrementalPotential:
         Args:
             step: the time step.
         """
-        contacts = step.contacts if self.search is nearest_planes else step.contacts_by(self.search)
         heights = self._heights(step)
-        if heights is not None and contacts.now is not None:
-            contacts = replace(contacts, now=contacts.now.raised(heights), raised=heights)
+        if self.search is nearest_planes:
+            contacts = step.contacts if heights is None else step.raised_contacts
+        else:
+            contacts = step.contacts_by(self.search).over(heights)
         terms = tuple(term for term in self.terms if term.acts_on(step))
         if step.is_on_a_processor:
             terms = tuple(term.compiled(step, contacts) for term in terms)

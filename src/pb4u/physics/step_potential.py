@@ -92,6 +92,12 @@ class StepPotential:
     step: TimeStep
     contacts: ContactSet
 
+    def gather(self) -> None:
+        """Gather what the terms' loops read of the step: on first use they would."""
+        for term in self.potential.terms:
+            if isinstance(term, CompiledTerm):
+                term.gather()
+
     def contact_at(self, x: Tensor) -> ContactPlanes | None:
         """Planes of the bodies at t+1 nearest to each vertex; None without a body.
 

@@ -112,8 +112,13 @@ class TimeStep:
         return self.contacts_by(partial(nearest_planes, within=MOTION_REACH))
 
     @cached_property
+    def raised_contacts(self) -> ContactSet:
+        """The same, the planes of the bodies raised by `sags`."""
+        return self.contacts.over(self.sags)
+
+    @cached_property
     def records(self) -> dict[Any, Any]:
-        """Inputs of the terms' loops that are constant during the step, by term."""
+        """Inputs of the terms' loops that are constant during the step, by term and the contacts that it reads."""
         return {}
 
     @cached_property

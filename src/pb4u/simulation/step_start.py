@@ -13,6 +13,7 @@ from pb4u.physics.solver.contact_tracking import moved_off_the_body
 from pb4u.physics.step_potential import StepPotential
 from pb4u.physics.terms.energy_term import constant
 from pb4u.physics.time_step import TimeStep, integrate
+from pb4u.threads import begun
 
 WARM_START_SHARES = (0.25, 0.5, 0.75, 1.0)
 """Shares of the body's motion that a step may start from, besides none."""
@@ -48,11 +49,14 @@ class BodyMotionWarmStart:
         if step.skinned_motion is None:
             return torch.zeros_like(free)
         garments, potential = step.garments, self.potential.of(step).without_cloth()
+        # What the terms read of the step is gathered while the bodies are looked up.
+        gathered = begun(potential.gather)
         missing = step.skinned_motion - step.free_move
         missing = torch.where(garments.pinned[:, None], 0.0, missing)
         shares = constant((0.0, *self.shares), missing.dtype, missing.device)
         # The body's tangent planes half way are exact enough to choose by, and queried once.
         frozen = potential.with_contact_at(free + 0.5 * missing)
+        gathered()
         best = _best(frozen, free, missing, shares)
         start = free + best[garments.vertex_world, None] * missing
         return moved_off_the_body(potential, start) - free

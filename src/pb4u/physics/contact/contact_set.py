@@ -177,6 +177,16 @@ class ContactSet:
     obstacle: Obstacle | None = None
     raised: Tensor | None = None
 
+    def over(self, heights: Tensor | None) -> ContactSet:
+        """These contacts with the planes that vertices may slide on raised; the same without heights or planes.
+
+        Args:
+            heights: (vertices,) [m].
+        """
+        if heights is None or self.now is None:
+            return self
+        return replace(self, now=self.now.raised(heights), raised=heights)
+
     @staticmethod
     def at_start(garments: PackedGarments, bodies: ColliderFrame | None, x: Tensor, search: PlaneSearch) -> ContactSet:
         """Contacts known at the start of a step; every finder is called here.

@@ -181,12 +181,15 @@ class CompiledTerm(EnergyTerm):
     @cached_property
     def _records_at(self) -> Callable[[ContactSet], Sequence[Record]]:
         step, contacts = self._made_for
-        if self.term.reads_contacts:
-            return self.term.records(step, contacts)
-        # Several potentials of one step, as those of its start and of its end, have such a term in common.
-        if self.term not in step.records:
-            step.records[self.term] = self.term.records(step, contacts)
-        return step.records[self.term]
+        # Several potentials of one step, as those of its start and of its end, have most terms in common.
+        key = self.term, contacts if self.term.reads_contacts else None
+        if key not in step.records:
+            step.records[key] = self.term.records(step, contacts)
+        return step.records[key]
+
+    def gather(self) -> None:
+        """Gather what the loops read of the step."""
+        self._records_at  # noqa: B018
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         if not x.requires_grad:
