@@ -1,18 +1,24 @@
 """The readable twin of the second derivatives that the solver compiles: whole matrices, from formulas and autograd.
 
-Slow on purpose; the tests hold the kernels in `src` to it.
+Slow on purpose; the tests hold the kernels in `src` to it. Last come these kernels themselves, for matrices and vectors
+as the tests have them.
 """
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.collision.lanes import padded
 from pb4u.environment import STANDARD_GRAVITY, UP
+from pb4u.physics.solver.preconditioner import TwoLevelPreconditioner, precondition
 from pb4u.physics.step_potential import StepPotential
 from pb4u.physics.terms.collision import REFERENCE_AREA, Collision
 from pb4u.physics.terms.energy_term import CompiledTerm, EnergyTerm
 from pb4u.physics.terms.friction import Friction
+from pb4u.physics.terms.pair_stiffness import PairStiffness, add_product
+from pb4u.physics.terms.stiffness_matrix import SymmetricBlocks, multiply
 
 
 def readable_stiffness(name: str, frozen: StepPotential, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -159,3 +165,31 @@ def assembled(parts: Tensor, elements: Tensor, count: int) -> Tensor:
         for j in range(elements.shape[1]):
             whole.index_put_((elements[:, i], elements[:, j]), parts[:, i, :, j], accumulate=True)
     return whole.permute(0, 2, 1, 3).reshape(3 * count, 3 * count)
+
+
+def dense(matrix: SymmetricBlocks) -> np.ndarray:
+    """The whole matrix (3 vertices, 3 vertices) [N/m]."""
+    count = len(matrix.starts) - 1
+    rows = np.repeat(np.arange(count), np.diff(matrix.starts))
+    whole = np.zeros((count, 3, count, 3))
+    whole[matrix.columns, :, rows] = matrix.blocks.transpose(0, 2, 1)
+    whole[rows, :, matrix.columns] = matrix.blocks
+    return whole.reshape(3 * count, 3 * count)
+
+
+def times(matrix: SymmetricBlocks | PairStiffness, vector: np.ndarray) -> np.ndarray:
+    """Product (vertices, 3) [N] with a `vector` (vertices, 3) [m], by the kernels."""
+    result, at = np.zeros((len(vector), 4)), padded(vector, np.float64)
+    if isinstance(matrix, PairStiffness):
+        add_product(matrix.corners, padded(matrix.rows.reshape(-1, 3), np.float64), at, result)
+    else:
+        multiply(matrix.starts, matrix.columns, matrix.blocks, at, result)
+    return result[:, :3]
+
+
+def preconditioned(preconditioner: TwoLevelPreconditioner, residual: np.ndarray) -> np.ndarray:
+    """Approximate solution (vertices, 3) [m] for `residual` (vertices, 3) [N], by the kernel."""
+    precision = preconditioner.parts[0].dtype
+    result = np.empty((len(residual), 4), precision)
+    precondition(preconditioner.parts, padded(residual, precision), result)
+    return result[:, :3]

@@ -378,8 +378,7 @@ class Run:
             path: trajectory file to write as frames come; None keeps the frames in memory.
             progress: called with (frames done, frames in all); by default a bar where standard error is a terminal.
         """
-        trajectory: Trajectory = resolve_name("pb4u.simulation.run_simulation:simulate")(self, path, progress)
-        return trajectory
+        return resolve_name("pb4u.simulation.run_simulation:simulate")(self, path, progress)
 
     @staticmethod
     def open(path: str | Path) -> Run:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from tests.physics.shapes import EVALUATION, nobody, packed, sheet, time_step, tube
+from tests.readable_stiffness import dense
 
 from pb4u.environment import Environment
 from pb4u.garment.material import Material
@@ -77,7 +78,7 @@ def test_a_damped_energy_is_the_elastic_one_and_that_of_the_change() -> None:
 
 def test_the_second_derivative_is_positive() -> None:
     step, x = shaken()
-    matrix = step.stiffness(x, StiffnessPattern(step.step.garments, step.elements())).matrix().toarray()
+    matrix = dense(step.stiffness(x, StiffnessPattern(step.step.garments, step.elements())).matrix())
     assert np.linalg.eigvalsh(matrix).min() > -1e-10 * np.abs(matrix).max()
 
 

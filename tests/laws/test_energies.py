@@ -19,7 +19,7 @@ from tests.physics.shapes import (
     sheet,
     tube,
 )  # fmt: skip
-from tests.readable_stiffness import made_of, readable_stiffness
+from tests.readable_stiffness import dense, made_of, readable_stiffness, times
 
 from pb4u.measures.released_energies import released_potential
 from pb4u.physics.incremental_potential import IncrementalPotential
@@ -262,8 +262,8 @@ def test_the_compiled_stiffness_is_that_of_the_readable_twin(name: str, law: str
     positive, negative = readable_stiffness(name, frozen, x)
     assert float(positive.abs().max()) > 1e-6, "the case must exercise the term"
     size = float(positive.abs().max())
-    np.testing.assert_allclose(stiffness.matrix().toarray(), positive.numpy(), rtol=1e-10, atol=1e-10 * size)
-    with_all = stiffness.matrix(1.0).toarray() - stiffness.matrix().toarray()
+    np.testing.assert_allclose(dense(stiffness.matrix()), positive.numpy(), rtol=1e-10, atol=1e-10 * size)
+    with_all = dense(stiffness.matrix(1.0)) - dense(stiffness.matrix())
     np.testing.assert_allclose(with_all, negative.numpy(), rtol=1e-10, atol=1e-10 * size)
     assert (float(negative.abs().max()) > 1e-3 * size) == (name == "stretch")
 
@@ -288,7 +288,7 @@ def test_stiffness_is_the_derivative_of_the_gradient(name: str, law: str, monkey
     direction = torch.randn(x.shape, generator=torch.Generator().manual_seed(6), dtype=torch.float64)
     h = 1e-7 if name != "friction" else 1e-9
     plus, minus = (term.energies_and_gradient(at, contacts, x + s * h * direction)[1] for s in (1, -1))
-    product = torch.from_numpy(stiffness_of(name, frozen, x).matrix(1.0) @ direction.numpy())
+    product = torch.from_numpy(times(stiffness_of(name, frozen, x).matrix(1.0), direction.numpy()))
     expected = (plus - minus) / (2 * h)
     torch.testing.assert_close(product, expected, rtol=1e-4, atol=1e-5 * float(expected.abs().max()))
 
@@ -296,7 +296,7 @@ def test_stiffness_is_the_derivative_of_the_gradient(name: str, law: str, monkey
 @pytest.mark.parametrize("name", ["stretch", "bending", "collision", "friction"])
 def test_the_positive_part_is_positive_semi_definite(name: str) -> None:
     step, x = crumpled(3)
-    values = np.linalg.eigvalsh(stiffness_of(name, step.with_contact_at(x), x).matrix().toarray())
+    values = np.linalg.eigvalsh(dense(stiffness_of(name, step.with_contact_at(x), x).matrix()))
     assert values.min() > -1e-10 * values.max()
 
 

@@ -10,7 +10,7 @@ from tests.physics.shapes import capsule, collider, colliders, packed, sheet
 
 from pb4u.collision.nearest_points import Found, update_closest
 from pb4u.collision.nearest_surface import TriangleSurface
-from pb4u.collision.wide_tree import fit_again
+from pb4u.collision.wide_tree import fit, fit_again
 from pb4u.physics.contact.contact_set import CONTACT_REACH, nearest_planes
 from pb4u.scene.colliders import ColliderPose
 
@@ -108,7 +108,8 @@ def test_only_nearer_faces_are_taken_and_only_those_asked_for() -> None:
     vertices[dented[:, 0]] *= 1.3
     went = dented[faces, 0].any(axis=1)
     alone = fit_again(vertices, faces, went, tree.order, tree.levels, undented.corners, undented.boxes)
-    for again, anew in zip((undented.corners, undented.boxes), tree.fitted(vertices, faces), strict=True):
+    fitted = fit(vertices, faces, tree.order, tree.levels)
+    for again, anew in zip((undented.corners, undented.boxes), fitted, strict=True):
         np.testing.assert_array_equal(again, anew)
     exact = surface.at(vertices).nearest(points)
     on_others = ~went[found.triangle]

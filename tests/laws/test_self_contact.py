@@ -11,6 +11,7 @@ import torch
 from ball_scene import MATERIAL, Ball
 from tests.collision.crossing_free_states import Surface, folded, stack
 from tests.physics.shapes import DT, nobody, packed, sheet, time_step
+from tests.readable_stiffness import times
 
 from pb4u.collision.collision_free import SMALLEST_GAP
 from pb4u.environment import Environment
@@ -157,7 +158,7 @@ def test_pair_stiffness_is_one_matrix_however_it_is_asked(term: EnergyTerm) -> N
     whole = root.T @ root
     assert np.linalg.eigvalsh(whole).min() > -1e-12 * whole.max()
     vector = np.random.default_rng(2).normal(size=(len(x), 3))
-    product = stiffness @ vector
+    product = times(stiffness, vector)
     np.testing.assert_allclose(product.reshape(-1), whole @ vector.reshape(-1), atol=1e-11 * np.abs(product).max())
     blocks = np.zeros((len(x), 3, 3))
     stiffness.add_diagonal(blocks)
@@ -179,7 +180,7 @@ def test_pair_stiffness_is_the_derivative_of_the_force_along_the_normal() -> Non
     lift[surface.part == 1, 1] = 1.0
     h = 1e-8
     plus, minus = (TERMS[0].energies_and_gradient(at.step, at.contacts, x + s * h * lift)[1] for s in (1, -1))
-    product = rows_of(TERMS[0], at, x) @ lift.numpy()
+    product = times(rows_of(TERMS[0], at, x), lift.numpy())
     assert np.abs(product).max() > 1.0
     expected = ((plus - minus) / (2 * h)).numpy()
     np.testing.assert_allclose(product, expected, atol=1e-5 * np.abs(expected).max())
@@ -194,7 +195,7 @@ def test_friction_stiffness_is_the_derivative_of_its_force(monkeypatch: pytest.M
     direction = torch.randn(x.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     h = 1e-9
     plus, minus = (TERMS[1].energies_and_gradient(at.step, at.contacts, x + s * h * direction)[1] for s in (1, -1))
-    product = rows_of(TERMS[1], at, x) @ direction.numpy()
+    product = times(rows_of(TERMS[1], at, x), direction.numpy())
     expected = ((plus - minus) / (2 * h)).numpy()
     np.testing.assert_allclose(product, expected, atol=1e-4 * np.abs(expected).max())
 

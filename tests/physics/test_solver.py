@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from tests.physics.shapes import DT, at_rest, capsule, collider, nobody, packed, potential_of, sheet, time_step, tube
-from tests.readable_stiffness import readable_stiffness
+from tests.readable_stiffness import dense, preconditioned, readable_stiffness, times
 
 import pb4u.physics.solver.newton_solver as solver_module
 import pb4u.physics.step_potential as potential_module
@@ -251,27 +251,27 @@ def test_the_stiffness_matrix_is_the_sum_of_its_terms_and_holds_pins(few: int, m
     for matrix in (positive, negative):
         matrix[held], matrix[:, held] = 0.0, 0.0
     size = positive.max()
-    np.testing.assert_allclose(stiffness.matrix().toarray(), positive, rtol=1e-10, atol=1e-12 * size)
+    np.testing.assert_allclose(dense(stiffness.matrix()), positive, rtol=1e-10, atol=1e-12 * size)
     extra = np.arange(float(garments.vertex_count))
     whole = positive + 0.8 * negative + np.diag(np.repeat(extra, 3))
     damped = stiffness.matrix(0.8, extra)
-    np.testing.assert_allclose(damped.toarray(), whole, rtol=1e-10, atol=1e-12 * size)
+    np.testing.assert_allclose(dense(damped), whole, rtol=1e-10, atol=1e-12 * size)
     vector = np.random.default_rng(0).normal(size=x.shape)
-    np.testing.assert_allclose((damped @ vector).reshape(-1), whole @ vector.reshape(-1), rtol=0, atol=1e-9 * size)
-    np.testing.assert_allclose(stiffness.matrix().toarray(), positive, rtol=1e-10, atol=1e-12 * size)
+    np.testing.assert_allclose(times(damped, vector).reshape(-1), whole @ vector.reshape(-1), rtol=0, atol=1e-9 * size)
+    np.testing.assert_allclose(dense(stiffness.matrix()), positive, rtol=1e-10, atol=1e-12 * size)
 
 
 def test_the_preconditioner_adds_a_diagonal_and_a_coarse_solve() -> None:
     stiffness, pairs, preconditioner, residual = system()
     free = stiffness.pattern.free
     root = pairs.root(len(free)).toarray()
-    whole = stiffness.matrix().toarray() + root.T @ root
+    whole = dense(stiffness.matrix()) + root.T @ root
     functions = np.kron(preconditioner.basis.functions.toarray(), np.eye(3))
     coarse = functions @ np.linalg.solve(functions.T @ whole @ functions, functions.T @ residual.reshape(-1))
     own = whole.reshape(len(free), 3, len(free), 3)[np.arange(len(free)), :, np.arange(len(free))]
     own[~free] = np.eye(3)
     fine = np.linalg.solve(own, residual[:, :, None]).reshape(-1)
-    found = preconditioner(residual).reshape(-1)
+    found = preconditioned(preconditioner, residual).reshape(-1)
     np.testing.assert_allclose(found, fine + coarse, rtol=0, atol=1e-5 * np.abs(found).max())
 
 
@@ -308,10 +308,10 @@ def test_conjugate_gradient_solves_and_notices_negative_curvature(share: float) 
     stiffness, pairs, preconditioner, right = system()
     matrix = stiffness.matrix(share)
     root = pairs.root(len(right)).toarray()
-    whole = matrix.toarray() + root.T @ root
+    whole = dense(matrix) + root.T @ root
 
     def precondition(residual: np.ndarray) -> np.ndarray:
-        return preconditioner(residual.reshape(-1, 3)).reshape(-1)
+        return preconditioned(preconditioner, residual.reshape(-1, 3)).reshape(-1)
 
     for tolerance, most in ((1e-6, 300), (1e-6, 3)):
         solved = conjugate_gradient(matrix, pairs, right, preconditioner, tolerance, most)
@@ -355,18 +355,18 @@ def test_tangents_have_the_force_of_where_a_step_leads() -> None:
     stiffness, slope = frozen.stiffness(x, pattern), frozen.energies_and_gradient(x)[1].numpy().copy()
     true = frozen.energies_and_gradient(x + moves)[1].numpy()
     tangents = frozen.tangents(x, pattern)
-    model = slope + stiffness.matrix() @ moves.numpy()
+    model = slope + times(stiffness.matrix(), moves.numpy())
     wrong = []
     for _ in range(8):
         missed = np.zeros_like(slope)
         for tangent in tangents:
             tangent(moves.numpy(), stiffness, slope, missed)
         assert np.allclose(model + missed, true, rtol=0.0, atol=1e-9 * np.abs(true).max())
-        model = slope + stiffness.matrix() @ moves.numpy()
+        model = slope + times(stiffness.matrix(), moves.numpy())
         wrong.append(np.abs(missed).max())
     assert wrong[0] > 0.1 * np.abs(true).max()
     assert np.allclose(model, true, rtol=0.0, atol=1e-9 * np.abs(true).max())
-    np.linalg.cholesky(stiffness.matrix(extra=np.full(garments.vertex_count, 1e-6)).toarray())
+    np.linalg.cholesky(dense(stiffness.matrix(extra=np.full(garments.vertex_count, 1e-6))))
 
 
 def test_a_step_onto_a_body_is_not_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:

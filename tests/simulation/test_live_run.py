@@ -36,11 +36,11 @@ def live(scene: Scene | None = None) -> LiveRun:
 
 
 def positions(run: LiveRun) -> np.ndarray:
-    return run.written(run.written_count - 1).positions.numpy()
+    return run._kept[-1].state.positions.numpy()
 
 
 def hand_at(run: LiveRun, point: tuple[float, float, float], place: tuple[float, float, float]) -> Hand:
-    state = run.written(run.written_count - 1)
+    state = run._kept[-1].state
     taken = Hand.at(run.packed, state.positions, point)
     return Hand(taken.vertices, place)
 
@@ -94,8 +94,8 @@ def test_a_hand_holds_what_is_near_at_rest_and_pulls_no_harder_than_a_person() -
     assert sorted(hand.vertices.tolist()) == np.flatnonzero(away < 1.5 * curtain().mean_edge_length).tolist()
     assert len(hand.vertices) > 2
     assert curtain().mean_edge_length > GRIP
-    pull = hand.pull(run.written(0).positions)
-    forces = pull.stiffness * (pull.places - run.written(0).positions[hand.vertices])
+    pull = hand.pull(run._kept[0].state.positions)
+    forces = pull.stiffness * (pull.places - run._kept[0].state.positions[hand.vertices])
     assert float(forces.sum(0).norm()) == pytest.approx(30.0)
 
 
@@ -119,7 +119,7 @@ def test_it_goes_on_from_an_earlier_frame_with_the_history_of_the_integrator() -
     again = [advance(run, 1, touch) for _ in range(4)]
     assert max(np.abs(a - b).max() for a, b in zip(again, swung[4:], strict=True)) < 5e-6
     run.go_back(3)
-    run._last = run._last._replace(state=replace(run.written(3), history=()))
+    run._last = run._last._replace(state=replace(run._kept[3].state, history=()))
     assert np.abs(advance(run, 1, touch) - swung[4]).max() > 5e-5
 
 

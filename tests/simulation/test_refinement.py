@@ -145,7 +145,7 @@ def test_cloth_that_bodies_turned_aside_is_smoothed_or_solved_anew_and_the_least
     for name, solver in solves.items():
         monkeypatch.setattr(solver, "minimise", noting(name))
     monkeypatch.setattr(refinement, "_are_failed", are_failed)
-    kept = refining.pressed_past_bodies(step, behind, potential.self_contact)
+    kept = refining.pressed_past_bodies(step, behind)
     assert torch.equal(starts[0], turned.positions)
     assert len(starts) == (2 if left else 1)
     assert torch.equal(kept.positions, results[best])
@@ -167,7 +167,7 @@ def test_cloth_is_smoothed_where_more_of_it_is_strained_than_before_bodies_turne
         return torch.arange(len(step.garments.faces)) < (strained_before if x is behind.positions else 2)
 
     monkeypatch.setattr(refinement, "_are_failed", are_failed)
-    refining.pressed_past_bodies(step, behind, potential.self_contact)
+    refining.pressed_past_bodies(step, behind)
     assert record.retried == retried
 
 
@@ -182,7 +182,7 @@ def test_a_retry_moves_the_cloth_around_what_bodies_turned_aside(monkeypatch: py
     crumpled[step.garments.faces[refinement._are_failed(step, turned.positions)].reshape(-1)] = True
     around = refinement._near(step.garments, crumpled)
     assert not bool(around.all())
-    kept = refining.pressed_past_bodies(step, behind, potential.self_contact)
+    kept = refining.pressed_past_bodies(step, behind)
     assert refinement._failed_faces(step, kept.positions) == 0
     stays = (kept.positions == turned.positions).all(1)
     assert torch.equal(stays, ~around)
@@ -206,7 +206,7 @@ def test_a_retry_goes_in_parts_by_the_edges_of_what_is_strained(monkeypatch: pyt
     refining = SolverRefinement(potential, 5)
     # The iterations that come before a retry leave it strained.
     monkeypatch.setattr(refining._local, "minimise", lambda *_, **__: replace(step.state, positions=wide))
-    refining.pressed_past_bodies(step, step.state, potential.self_contact)
+    refining.pressed_past_bodies(step, step.state)
     assert asked == [refinement._EDGES_IN_A_PART * coarse]
 
 

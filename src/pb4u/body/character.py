@@ -127,8 +127,7 @@ class PosedCharacter(PosedBody):
     def joints(self) -> np.ndarray:
         transforms = self.transforms.double().numpy()
         rest = self.body.skeleton.joints
-        places: np.ndarray = np.einsum("fbij,bj->fbi", transforms[..., :3], rest) + transforms[..., 3]
-        return places
+        return np.einsum("fbij,bj->fbi", transforms[..., :3], rest) + transforms[..., 3]
 
     def positions(self, start: int, stop: int) -> Tensor:
         result = self._surface.positions(self.transforms[start:stop])

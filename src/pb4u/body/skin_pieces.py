@@ -57,8 +57,7 @@ def skin_vertices(surface: CharacterSurface, limbs: np.ndarray) -> np.ndarray:
         skin &= _beside(welded, topology, piece, main, large, limbs)
     is_skin = np.zeros(len(welded.vertices), dtype=bool)
     is_skin[welded.faces[skin[piece]]] = True
-    result: np.ndarray = is_skin[number]
-    return result
+    return is_skin[number]
 
 
 def _cover(surface: CharacterSurface, piece: np.ndarray, k: int, large: np.ndarray) -> float:

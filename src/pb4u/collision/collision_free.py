@@ -213,8 +213,7 @@ def through_obstacle(corners: np.ndarray, first_obstacle: int, passed: np.ndarra
         first_obstacle: number of the first vertex of obstacles; they are the last ones.
         passed: (vertices,) bool of the surface that obstacles are let through.
     """
-    result: np.ndarray = (corners >= first_obstacle).any(axis=1) & passed[corners].any(axis=1)
-    return result
+    return (corners >= first_obstacle).any(axis=1) & passed[corners].any(axis=1)
 
 
 def _met_by_obstacles(corners: np.ndarray, first_obstacle: int, count: int) -> np.ndarray:

@@ -53,21 +53,13 @@ class CrossingSearch:
             vertices: (vertices, 3) [m].
             sharing: whether pairs that share a vertex, and pass through each other elsewhere, are found as well.
         """
-        points, pairs = self._touching(vertices, sharing, np.ones(len(vertices), dtype=bool))
-        touching = np.unique(pairs)
+        tree, faces = self._tree, self._tree.faces
+        points, face_boxes = still_boxes(vertices, faces, 0.5 * _TOUCHING)
+        boxes, asked = tree.boxes.fitted(face_boxes), query_of(tree.boxes, faces, np.ones(len(vertices), dtype=bool))
+        touching = np.unique(_touching_faces(points, faces, boxes, tree.boxes, sharing, self._most, asked, asked))
         if not len(touching):
             return np.zeros((0, 2), dtype=np.int64)
-        return touching[self_crossings(points, self._tree.faces[touching], sharing=sharing)]
-
-    def _touching(self, vertices: np.ndarray, sharing: bool, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Finite positions (vertices, 3) [m], and the pairs (pairs, 2) of faces that are not certainly apart.
-
-        Of which one has a vertex `among` (vertices,) bool.
-        """
-        tree = self._tree
-        points, face_boxes = still_boxes(vertices, tree.faces, 0.5 * _TOUCHING)
-        boxes, asked = tree.boxes.fitted(face_boxes), query_of(tree.boxes, tree.faces, among)
-        return points, _touching_faces(points, tree.faces, boxes, tree.boxes, sharing, self._most, asked, asked)
+        return touching[self_crossings(points, faces[touching], sharing=sharing)]
 
 
 @compiled

@@ -47,8 +47,7 @@ class Neighbourhood:
             vertices: (vertices, 3) [m].
             moves: (vertices, 3) [m] from there, linear.
         """
-        found: tuple[np.ndarray, np.ndarray, np.ndarray] = _strayed(self.start, self.end, vertices, moves, self.room)
-        return found
+        return _strayed(self.start, self.end, vertices, moves, self.room)
 
     def near(self, vertices: np.ndarray, moves: np.ndarray, reaches: Reaches) -> tuple[np.ndarray, int]:
         """Corners of its pairs that may come within their reach, and the number of those of a vertex and a face.

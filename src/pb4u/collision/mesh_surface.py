@@ -47,7 +47,7 @@ class MeshSurface:
             return points
         near = self._posed.nearest(points)
         reached = near.positions.numpy().copy()
-        face_normals = self._posed.face_normals.numpy()
+        face_normals = self._posed.batch.face_normals.numpy()
         facing = np.einsum("nd,nd->n", face_normals[near.triangle.numpy()], normals)
         # Two layers of cloth may lie closer together than a triangle is long: stay on one's own.
         astray = np.flatnonzero(facing < -0.2)
@@ -64,7 +64,7 @@ class MeshSurface:
         barycentric = closest_barycentric(spread, a, b, c).numpy()
         reached = np.einsum("nck,nckd->ncd", barycentric, corners[near])
         distance = np.linalg.norm(reached - points[:, None], axis=2)
-        facing = np.einsum("ncd,nd->nc", self._posed.face_normals.numpy()[near], normals)
+        facing = np.einsum("ncd,nd->nc", self._posed.batch.face_normals.numpy()[near], normals)
         distance = np.where(facing > 0.0, distance, np.inf)
         rows, best = np.arange(len(points)), np.argmin(distance, axis=1)
         return np.where(np.isfinite(distance[rows, best])[:, None], reached[rows, best], otherwise)

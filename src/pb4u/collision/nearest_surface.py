@@ -1,8 +1,8 @@
 """Nearest points on a moving triangle surface, with sign: negative inside.
 
 The nearest triangle is exact: a compiled search of a tree of boxes on the processor; groups of faces in tensors
-(`batched_surface`) on other devices, and where Numba is not installed. The sign comes from angle-weighted
-pseudo-normals (Baerentzen and Aanaes 2005), which are right at edges and corners too.
+(`batched_surface`) on other devices. The sign comes from angle-weighted pseudo-normals (Baerentzen and Aanaes 2005),
+which are right at edges and corners too.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from pb4u.collision.batched_surface import BatchedSurface, NearestPoints, PosedBatch
 from pb4u.collision.nearest_points import Found, Searched, update_closest
-from pb4u.collision.wide_tree import WideTree
+from pb4u.collision.wide_tree import WideTree, fit
 from pb4u.errors import InputError
 from pb4u.geometry.topology import Topology
 from pb4u.threads import parallel_map
@@ -145,18 +145,13 @@ class PosedSurface:
         """The surface as compiled searches see it."""
         vertices = np.ascontiguousarray(self.vertices.numpy())
         faces, tree = self.surface.faces, self.surface.tree(vertices)
-        fitted = tree.fitted(vertices, faces)
+        fitted = fit(vertices, faces, tree.order, tree.levels)
         return Searched(vertices, faces, self.surface.fans, tree.order, tree.children, tree.bottoms, *fitted)
 
     @cached_property
     def batch(self) -> PosedBatch:
         """The same for searches in tensors."""
         return PosedBatch(self.surface.batched(self.vertices), self.vertices)
-
-    @property
-    def face_normals(self) -> Tensor:
-        """Unit normals (kept faces, 3) float64 of the faces, 0 for a degenerate one."""
-        return self.batch.face_normals
 
     def nearest(self, points: Tensor | np.ndarray) -> NearestPoints:
         """Exact nearest points of the surface; quickest for points that lie near the ones before and after them.
@@ -174,21 +169,12 @@ class PosedSurface:
         if self.compiled:
             found = Found.nothing(len(queried))
             self.update_closest(queried.numpy(), found)
-            _, triangle, barycentric, position, normal, distance, beyond = (torch.from_numpy(v) for v in found)
-            near = NearestPoints(triangle, barycentric, position, normal, distance, beyond)
+            near = NearestPoints(*map(torch.from_numpy, found[1:]))
         else:
             near = self.batch.closest(queried[None])
-
-        def back(t: Tensor) -> Tensor:
-            return t.to(asked.device, asked.dtype if asked.dtype.is_floating_point else torch.float64)
-
+        dtype = asked.dtype if asked.dtype.is_floating_point else torch.float64
         return NearestPoints(
-            triangle=near.triangle.to(asked.device),
-            barycentric=back(near.barycentric),
-            positions=back(near.positions),
-            normals=back(near.normals),
-            signed_distance=back(near.signed_distance),
-            beyond_border=near.beyond_border.to(asked.device),
+            *(value.to(asked.device, dtype if value.is_floating_point() else None) for value in vars(near).values())
         )
 
     @property

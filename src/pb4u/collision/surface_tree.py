@@ -126,8 +126,7 @@ class SurfaceTree:
         return self._query(np.ones(len(self.rest), dtype=bool))
 
     def _query(self, among: np.ndarray) -> Query:
-        query: Query = query_of(self.boxes, self.faces, among)
-        return query
+        return query_of(self.boxes, self.faces, among)
 
     def pairs(
         self,

@@ -56,16 +56,6 @@ class WideTree:
         """Number of nodes whose children are faces."""
         return int(self.levels[1])
 
-    def fitted(self, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Corners (faces, 9) [m] in the order, and lowest and highest corner (nodes, 6, 8) [m] of all children.
-
-        Args:
-            vertices: (vertices, 3) [m].
-            faces: (faces, 3) int64.
-        """
-        fitted: tuple[np.ndarray, np.ndarray] = fit(vertices, faces, self.order, self.levels)
-        return fitted
-
 
 @compiled
 def _ordered(centres: np.ndarray) -> np.ndarray:

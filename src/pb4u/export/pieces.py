@@ -51,8 +51,7 @@ def part_of_polygon(header: TrajectoryHeader, parts: Sequence[ClothPart]) -> np.
         of_face[part.faces] = k
     # The triangles of a polygon follow each other, two fewer than its corners.
     triangles = header.outlines.sizes - 2
-    of_polygon: np.ndarray = of_face[np.cumsum(triangles) - triangles]
-    return of_polygon
+    return of_face[np.cumsum(triangles) - triangles]
 
 
 def pieces(header: TrajectoryHeader) -> list[Piece]:

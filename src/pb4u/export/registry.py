@@ -303,5 +303,4 @@ def write_npz(trajectory: Trajectory, path: Path, progress: Progress) -> None:
 
 
 def _function(name: str) -> Callable[..., Any]:
-    function: Callable[..., Any] = resolve_name(name)
-    return function
+    return resolve_name(name)

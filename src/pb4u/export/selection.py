@@ -193,8 +193,7 @@ def source_garments(header: TrajectoryHeader) -> np.ndarray:
     """
     if header.source is None:
         return header.vertex_garment
-    owners: np.ndarray = header.vertex_garment[header.faces[header.source.triangle, 0]]
-    return owners
+    return header.vertex_garment[header.faces[header.source.triangle, 0]]
 
 
 def resampled_count(frames: int, fps: float, rate: float) -> int:

@@ -53,8 +53,7 @@ class SewingLines(NamedTuple):
     def of(self, values: np.ndarray) -> np.ndarray:
         """Values (points, 3) of the points from those of the vertices (vertices, 3)."""
         share = self.share[:, None].astype(values.dtype)
-        mixed: np.ndarray = (1 - share) * values[self.ends[:, 0]] + share * values[self.ends[:, 1]]
-        return mixed
+        return (1 - share) * values[self.ends[:, 0]] + share * values[self.ends[:, 1]]
 
     def at(self, chosen: np.ndarray) -> SewingLines:
         """Some of the segments; `chosen` (segments,) bool."""
@@ -73,8 +72,7 @@ class SewingLines(NamedTuple):
         of_face = np.empty((sum(len(part.faces) for part in parts), 3))
         for part in parts:
             of_face[part.faces] = part.colour
-        shaded: np.ndarray = (255 * self.shade[:, None] * of_face[parent[self.face]]).round().astype(np.uint8)
-        return shaded
+        return (255 * self.shade[:, None] * of_face[parent[self.face]]).round().astype(np.uint8)
 
     def drawn_on(self, header: TrajectoryHeader, part: ClothPart) -> bytes | None:
         """Grey PNG of the sewing lines of a part in its UV space; None where its UVs leave the unit square.

@@ -140,8 +140,7 @@ class RestBody:
             (..., points, 3) [m].
         """
         tree, _ = self._tree
-        offsets: np.ndarray = tree.data[tree.query(points)[1]] - points
-        return offsets
+        return tree.data[tree.query(points)[1]] - points
 
     def misfit(self, points: np.ndarray, farthest: float = _FARTHEST) -> np.ndarray:
         """Mean distance to the body, depth inside it counted five times.
@@ -159,8 +158,7 @@ class RestBody:
         distance, nearest = tree.query(points)
         offset = points - tree.data[nearest]
         inside = np.einsum("...d,...d->...", offset, normals[nearest]) < 0.0
-        cost: np.ndarray = (np.minimum(distance, farthest) * np.where(inside, 5.0, 1.0)).mean(axis=-1)
-        return cost
+        return (np.minimum(distance, farthest) * np.where(inside, 5.0, 1.0)).mean(axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,8 +196,7 @@ class Fit:
         Args:
             vertices: (n, 3) in the unit of the file.
         """
-        placed: np.ndarray = UNITS[self.unit] * vertices @ AXES[self.axes].T + self.shift
-        return placed
+        return UNITS[self.unit] * vertices @ AXES[self.axes].T + self.shift
 
     @property
     def is_unsure(self) -> bool:

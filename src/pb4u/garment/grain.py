@@ -67,8 +67,7 @@ def _ways_of_uvs(garment: Garment) -> np.ndarray | None:
     ways = carried_directions(np.tile([0.0, 1.0], (len(flat), 1)), flat, corners)
     if len(corners) == len(garment.faces) and garment.uvs is not None:
         return ways
-    ways_of_faces: np.ndarray = ways[nearest_places(garment.vertices[garment.faces].mean(axis=1), points, faces)[0]]
-    return ways_of_faces
+    return ways[nearest_places(garment.vertices[garment.faces].mean(axis=1), points, faces)[0]]
 
 
 def _projected(garment: Garment, direction: np.ndarray) -> np.ndarray:

@@ -111,8 +111,7 @@ def mobility_of(vertex_garment: np.ndarray, count: int) -> np.ndarray:
         count: number of garments.
     """
     rise = (1.0 - INNERMOST_MOBILITY) / max(count - 1, 1)
-    mobility: np.ndarray = 1.0 - rise * (count - 1 - vertex_garment)
-    return mobility
+    return 1.0 - rise * (count - 1 - vertex_garment)
 
 
 def _laid_under(

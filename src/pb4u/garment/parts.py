@@ -164,8 +164,7 @@ class Parts:
         vertices = self._garment.vertices
         starts, ends = vertices[rim].swapaxes(0, 1)
         middles = vertices[self._garment.faces].mean(axis=1)
-        ways: np.ndarray = (ends - starts)[nearest_segments(middles, starts, ends)[0]]
-        return ways
+        return (ends - starts)[nearest_segments(middles, starts, ends)[0]]
 
     def _beyond(self, name: str, rim: np.ndarray, width: float) -> np.ndarray:
         """How far [m] the corners (faces, 3) of the faces are beyond a width of some border edges (edges, 2)."""
@@ -302,8 +301,7 @@ def _pulls(garment: Garment, cloths: Sequence[Material], layers: np.ndarray, gat
         pull = np.broadcast_to(gather.pull, len(layers))
         forces += pull * _moduli(fabrics, gather.layers, gather.ways)
         ways = np.where(((pull != 0.0) & gather.layers.any(axis=1))[:, None], gather.ways, ways)
-    pulls: np.ndarray = forces / _moduli(fabrics, layers, ways)
-    return pulls
+    return forces / _moduli(fabrics, layers, ways)
 
 
 def _moduli(cloths: Sequence[Material], layers: np.ndarray, ways: np.ndarray) -> np.ndarray:
@@ -311,8 +309,7 @@ def _moduli(cloths: Sequence[Material], layers: np.ndarray, ways: np.ndarray) ->
     along_weft, along_warp = ways.T**2
     squares = np.stack([along_weft**2, along_warp**2, 2.0 * along_weft * along_warp, 4.0 * along_weft * along_warp])
     membranes = np.array([cloth.membrane for cloth in cloths[: layers.shape[1]]])
-    moduli: np.ndarray = (layers * (membranes @ squares).T).sum(axis=1)
-    return moduli
+    return (layers * (membranes @ squares).T).sum(axis=1)
 
 
 def _ways(garment: Garment, part: Part) -> np.ndarray:
@@ -324,8 +321,7 @@ def _ways(garment: Garment, part: Part) -> np.ndarray:
         )
     ways = carried_directions(part.along, garment.vertices[garment.faces], garment.rest_shape)
     long = np.linalg.norm(ways, axis=1, keepdims=True)
-    units: np.ndarray = np.where(long > 0.0, ways / np.maximum(long, 1e-30), [1.0, 0.0])
-    return units
+    return np.where(long > 0.0, ways / np.maximum(long, 1e-30), [1.0, 0.0])
 
 
 def _pull(ratio: Any) -> Any:

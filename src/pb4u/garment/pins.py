@@ -68,8 +68,7 @@ def collar_of(vertices: np.ndarray, border: np.ndarray) -> np.ndarray:
         border: (n,) vertices of the border.
     """
     height = vertices[border, 1]
-    collar: np.ndarray = border[height > height.max() - _COLLAR_DEPTH]
-    return collar
+    return border[height > height.max() - _COLLAR_DEPTH]
 
 
 def _from_name(name: str, garment: Garment) -> np.ndarray:

@@ -280,5 +280,4 @@ def _push(points: np.ndarray, body: RestBody, clearance: float) -> np.ndarray:
     """(points, 3) smallest displacement [m] that brings each point `clearance` outside; 0 where it is already."""
     near = body.surface.nearest(points)
     depth = clearance - near.signed_distance.numpy()
-    push: np.ndarray = np.where(depth > 1e-6, depth, 0.0)[:, None] * near.normals.numpy()
-    return push
+    return np.where(depth > 1e-6, depth, 0.0)[:, None] * near.normals.numpy()

@@ -52,8 +52,7 @@ class SourceSurface:
     @cached_property
     def all_faces(self) -> np.ndarray:
         """Vertices (triangles, 3) int64 of every triangle."""
-        faces: np.ndarray = np.concatenate(self.source.polygons)[self.corners]
-        return faces
+        return np.concatenate(self.source.polygons)[self.corners]
 
     @cached_property
     def collapsed(self) -> np.ndarray:
@@ -62,8 +61,7 @@ class SourceSurface:
         corners = self.source.vertices[self.all_faces]
         longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
         flat: np.ndarray = 2.0 * face_areas(self.source.vertices, self.all_faces) <= _FLATTEST * longest**2
-        collapsed: np.ndarray = (a == b) | (b == c) | (c == a) | flat
-        return collapsed
+        return (a == b) | (b == c) | (c == a) | flat
 
     @cached_property
     def repeated(self) -> np.ndarray:
@@ -81,8 +79,7 @@ class SourceSurface:
     @cached_property
     def faces(self) -> np.ndarray:
         """Vertices (faces, 3) int64 of the kept triangles."""
-        faces: np.ndarray = self.all_faces[self.kept]
-        return faces
+        return self.all_faces[self.kept]
 
     @cached_property
     def topology(self) -> Topology:
@@ -131,8 +128,7 @@ class SourceSurface:
         labels = connected_labels(len(vertices), *pairs.T)
         lowest = np.full(len(vertices), len(vertices))
         np.minimum.at(lowest, labels, target)
-        joined: np.ndarray = lowest[labels]
-        return joined
+        return lowest[labels]
 
     @property
     def unwelded(self) -> np.ndarray:
@@ -206,5 +202,4 @@ class SourceSurface:
         across[~(opposed & (np.abs(height) < _LAYER_GAP) & (across < size[:, None]))] = np.inf
         best = across.argmin(axis=1)
         rows = np.arange(len(centres))
-        opposite: np.ndarray = np.where(np.isfinite(across[rows, best]), near[rows, best], -1)
-        return opposite
+        return np.where(np.isfinite(across[rows, best]), near[rows, best], -1)

@@ -55,8 +55,7 @@ def inner_layer(surface: SourceSurface, heights: np.ndarray | None = None) -> np
     is_gone[faces[gone]] = True
     # The rim: what hangs on vertices of the inner layer, and no part that is layered itself.
     layered = against.sum(axis=1) > _LAYERED * areas
-    rim: np.ndarray = gone | (is_gone[faces].any(axis=1) & ~layered[part])
-    return rim
+    return gone | (is_gone[faces].any(axis=1) & ~layered[part])
 
 
 def _smooth_parts(surface: SourceSurface) -> np.ndarray:

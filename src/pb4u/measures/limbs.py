@@ -174,8 +174,7 @@ class LimbWatch:
         pinched = np.zeros(len(body), dtype=bool)
         pinched[self._faces[overlapping_faces(body, self._faces)]] = True
         shown = shown[~pinched[shown]]
-        bare: np.ndarray = np.bincount(self.bones.skin[shown], areas[shown], bones) > _BARE
-        return bare
+        return np.bincount(self.bones.skin[shown], areas[shown], bones) > _BARE
 
     def _needed(self, bone: int, ends: np.ndarray, body: np.ndarray, faces: np.ndarray) -> tuple[str, int | None]:
         """Garment that a limb came through, and triangles at which its edges are short enough to go round the limb."""

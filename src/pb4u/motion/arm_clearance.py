@@ -99,8 +99,7 @@ def eased(turns: np.ndarray, fps: float) -> np.ndarray:
     window = np.clip(frames[:, None] + np.arange(-half, half + 1), 0, len(turns) - 1)
     largest = turns[window[frames, angle[window].argmax(axis=1)]]
     weight = 1.0 - np.abs(np.arange(-half, half + 1)) / (half + 1)
-    blended: np.ndarray = np.einsum("w,fwi->fi", weight / weight.sum(), largest[window])
-    return blended
+    return np.einsum("w,fwi->fi", weight / weight.sum(), largest[window])
 
 
 def _least_turn(surface: PosedSurface, points: np.ndarray, shoulder: np.ndarray) -> np.ndarray:

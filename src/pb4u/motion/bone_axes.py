@@ -249,5 +249,4 @@ def _seen(rotations: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 def _mean(rotations: np.ndarray) -> np.ndarray:
     """The rotation (4,) that is nearest to some (frames, 4): the first eigenvector (Markley et al. 2007)."""
-    mean: np.ndarray = np.linalg.eigh(rotations.T @ rotations)[1][:, -1]
-    return mean
+    return np.linalg.eigh(rotations.T @ rotations)[1][:, -1]

@@ -152,5 +152,4 @@ def _drift(stands: list[Stance], times: np.ndarray, fps: float) -> np.ndarray | 
         return None
     if np.abs(np.diff(smooth) / np.maximum(np.diff(middle), _HOLDS)).max() > _FASTEST_DRIFT:
         return None
-    curve: np.ndarray = np.interp(times, middle, smooth - np.median(smooth))
-    return curve
+    return np.interp(times, middle, smooth - np.median(smooth))

@@ -62,5 +62,4 @@ def nearest_axis(direction: np.ndarray) -> np.ndarray:
     Args:
         direction: (3,) of any length.
     """
-    axis: np.ndarray = _AXES[int(np.argmax(_AXES @ direction))]
-    return axis
+    return _AXES[int(np.argmax(_AXES @ direction))]

@@ -362,5 +362,4 @@ class AccelerationModel(nn.Module):
             normaliser.freeze()
 
     def _edge_normaliser(self, edges: EdgeSet) -> Normaliser:
-        normaliser: Normaliser = getattr(self, f"{edges.columns}_normaliser")
-        return normaliser
+        return getattr(self, f"{edges.columns}_normaliser")

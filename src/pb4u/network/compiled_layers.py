@@ -75,10 +75,9 @@ def normed_perceptron(values: Tensor, weight: Tensor, bias: Tensor, layers: Laye
         bias: (width,) [1] of this layer.
         layers: the second layer, the last and the norm, all `width` wide.
     """
-    output: Tensor = _Perceptron.apply(  # type: ignore[no-untyped-call]
+    return _Perceptron.apply(  # type: ignore[no-untyped-call]
         layers[2].eps, torch.is_grad_enabled(), values, weight, bias, *_weights(layers)
     )
-    return output
 
 
 def passed_edges(
@@ -127,10 +126,9 @@ def propagated(
         inflows: ends of each set of edges.
     """
     tensors = (state, *weights, *_weights(layers), *constants)
-    after: Tensor = _Propagation.apply(  # type: ignore[no-untyped-call]
+    return _Propagation.apply(  # type: ignore[no-untyped-call]
         steps, decay, layers[2].eps, torch.is_grad_enabled(), inflows, *tensors
     )
-    return after
 
 
 def _weights(layers: Layers) -> tuple[Tensor, ...]:
@@ -313,8 +311,7 @@ def _shared(count: int, most: int, width: int) -> list[tuple[int, int]]:
 
 
 def _array(values: Tensor) -> np.ndarray:
-    array: np.ndarray = values.detach().numpy()
-    return array
+    return values.detach().numpy()
 
 
 def _arrays(*values: Tensor) -> list[np.ndarray]:

@@ -72,8 +72,7 @@ class MLP(nn.Module):
         Args:
             hidden: (..., width) [1] input of the last layer.
         """
-        widened: Tensor = self.norm(_widened(self.last(hidden)))
-        return widened
+        return self.norm(_widened(self.last(hidden)))
 
 
 def _widened(values: Tensor) -> Tensor:

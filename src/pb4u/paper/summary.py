@@ -202,8 +202,7 @@ class Row:
     @property
     def deepest(self) -> float | None:
         """Deepest penetration of all frames [m]."""
-        depth: float | None = (self.result or {}).get("metrics", {}).get("penetration_depth_max", {}).get("max")
-        return depth
+        return (self.result or {}).get("metrics", {}).get("penetration_depth_max", {}).get("max")
 
     def value(self, quantity: str) -> float | None:
         """A quantity by the name that tables use; energies [J] are means over frames by the released convention.

@@ -175,8 +175,7 @@ def controls_tables(summary: Summary) -> list[Block]:
 
 
 def _excess(row: Row) -> dict[str, Any]:
-    measures: dict[str, Any] = (row.result or {}).get("metrics", {}).get("excess_height", {})
-    return measures
+    return (row.result or {}).get("metrics", {}).get("excess_height", {})
 
 
 def _median(values: list[float]) -> str:

@@ -32,7 +32,7 @@ class IncrementalPotential:
     """Energies to sum, and how a vertex finds the body near it.
 
     Args:
-        terms: the energies by name.
+        terms: the energies, in their order.
         search: finds the planes of the body: its exact nearest points, or the family's nearest face centres.
         self_contact: keeps cloth from passing through cloth; None for the paper's physics, which does not.
     """

@@ -177,7 +177,7 @@ class StepPotential:
         if self.contacts.cloth is not None:
             return replace(self, contacts=replace(self.contacts, cloth=cloth))
         before = self.step.state.positions
-        obstacle = self._obstacle(before, None)
+        obstacle = self._obstacle(before)
         near = contact.pairs(self.step.garments, before, None, before, obstacle=obstacle)
         return self._with_cloth_from(cloth, near)
 
@@ -196,15 +196,15 @@ class StepPotential:
         if contact is None:
             return self
         garments, before, known = self.step.garments, self.step.state.positions, self.contacts.cloth
-        obstacle = self._obstacle(x, moves)
+        obstacle = self._obstacle(x)
         cloth = contact.pairs(garments, x, moves, before, known, obstacle)
         # What a move from the step's start meets is all that touches there.
         if known is None and x is before:
             return self._with_cloth_from(cloth, cloth)
         return self.with_cloth(cloth)
 
-    def _obstacle(self, x: Tensor, moves: Tensor | None) -> Obstacle | None:
-        """The bodies as they move while cloth goes along `moves` (vertices, 3) [m] from `x`: only with the first move.
+    def _obstacle(self, x: Tensor) -> Obstacle | None:
+        """The bodies as they move over the step, where cloth starts from its beginning; else at rest where they end.
 
         Let through what was found to leave them no room.
         """
@@ -363,15 +363,12 @@ class StepPotential:
         parts = [term.pair_stiffness(self.step, contacts, x) for term in self.potential.terms]
         return [part for part in parts if part is not None]
 
-    @property
-    def _large(self) -> bool:
-        """Whether parts of an evaluation are worth threads of their own; autograd is another in each thread."""
-        compiled = isinstance(self.potential.terms[0], CompiledTerm)
-        return compiled and self.step.garments.vertex_count > _FEW
-
     def _each(self, function: Callable[[Part], Result], parts: Sequence[Part]) -> list[Result]:
-        """`function` of each of the `parts`, in their order."""
-        return parallel_map(function, parts) if self._large else [function(part) for part in parts]
+        """`function` of each of the `parts`, in their order; on threads where it is worth it."""
+        # Not under autograd, which is another in each thread.
+        compiled = isinstance(self.potential.terms[0], CompiledTerm)
+        large = compiled and self.step.garments.vertex_count > _FEW
+        return parallel_map(function, parts) if large else [function(part) for part in parts]
 
     def _contacts_at(self, x: Tensor) -> ContactSet:
         contacts = self.contacts

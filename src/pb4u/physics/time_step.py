@@ -210,7 +210,8 @@ class TimeStep:
             positions: (vertices, 3) [m] at the end of the step.
             struck: (vertices,) bool on which contact pushes there; None for none.
         """
-        return self._moved(positions, positions - self.state.positions, struck)
+        move = positions - self.state.positions
+        return self.integrator.arrived(self.state, self.dt, positions, move, struck)
 
     def turned_aside(self, state: State, positions: Tensor) -> State:
         """State at the end of the step at other positions, to which contact led it.
@@ -229,9 +230,6 @@ class TimeStep:
         """
         return self.integrator.joined(self.state, self.dt, last)
 
-    def _moved(self, positions: Tensor, move: Tensor, struck: Tensor | None = None) -> State:
-        return self.integrator.arrived(self.state, self.dt, positions, move, struck)
-
 
 def integrate(step: TimeStep, acceleration: Tensor) -> State:
     """State after a step with accelerations, of implicit Euler v' = v + a / dt, x' = x + dt v'; differentiable.
@@ -248,7 +246,7 @@ def integrate(step: TimeStep, acceleration: Tensor) -> State:
     positions = step.with_pins(before + move)
     if pins is not None:
         move = torch.where(step.garments.pinned[:, None], pins - before, move)
-    return step._moved(positions, move)
+    return step.integrator.arrived(step.state, step.dt, positions, move)
 
 
 def require_finite(state: State) -> State:

@@ -42,8 +42,7 @@ class PackedColliders:
         vertex_world: (vertices,) int64 world of each vertex, ascending.
         surfaces: the searchable surface of each world's bodies, regions left out of contact cut away and the holes
             closed: otherwise cloth crossed by a hand would enter the forearm through its open end. None for a world
-                without
-            a body that may be touched.
+            without a body that may be touched.
         capacities: fixed numbers of what searches find, where shapes may not wait for data; None elsewhere.
     """
 
@@ -121,21 +120,14 @@ class PackedColliders:
         return torch.cat([self.faces, *caps])
 
     @cached_property
-    def world_contact_faces(self) -> tuple[Tensor, ...]:
-        """Indices (faces,) int64 into `contact_faces` of what the surface of each world calls its faces."""
-        world_faces, stop = [], len(self.faces)
-        for world, faces in enumerate(self.world_faces):
-            start, stop = stop, stop + len(self._caps(world))
-            world_faces.append(torch.cat([faces, torch.arange(start, stop, device=faces.device)]))
-        return tuple(world_faces)
-
-    @cached_property
     def searched_faces(self) -> tuple[np.ndarray, ...]:
         """Indices (faces,) int64 into `contact_faces` of what each world's surface searches, in its order."""
-        return tuple(
-            names.cpu().numpy()[:0] if surface is None else names.cpu().numpy()[surface.names]
-            for names, surface in zip(self.world_contact_faces, self.surfaces, strict=True)
-        )
+        searched, stop = [], len(self.faces)
+        for world, (faces, surface) in enumerate(zip(self.world_faces, self.surfaces, strict=True)):
+            start, stop = stop, stop + len(self._caps(world))
+            called = np.concatenate([faces.cpu().numpy(), np.arange(start, stop)])
+            searched.append(called[:0] if surface is None else called[surface.names])
+        return tuple(searched)
 
     def _caps(self, world: int) -> Tensor:
         surface = self.surfaces[world]

@@ -225,8 +225,7 @@ def _mesh(spec: WornGarment, body: Body, material: Material, rest_shape: RestSha
 
 def _pattern(spec: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:
     file = Path(str(spec.garment))
-    garment: Garment = resolve_name(SEWN[file.suffix.lower()])(file, body, material, spec.triangles)
-    return garment
+    return resolve_name(SEWN[file.suffix.lower()])(file, body, material, spec.triangles)
 
 
 def _dictionary(spec: WornGarment, body: Body, material: Material, rest_shape: RestShape) -> Garment:

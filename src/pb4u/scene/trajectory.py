@@ -191,10 +191,7 @@ def _materials(garments: Sequence[Garment], first_triangles: Sequence[int]) -> l
 
 def ranges_of(chosen: np.ndarray) -> list[list[int]]:
     """Ranges [first, stop) of the indices for which `chosen` (n,) bool is true, as metadata lists them."""
-    ranges: list[list[int]] = (
-        np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]))).reshape(-1, 2).tolist()
-    )
-    return ranges
+    return np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]))).reshape(-1, 2).tolist()
 
 
 def _joined_rest(garments: Sequence[Garment]) -> np.ndarray | None:

@@ -87,20 +87,14 @@ class Checkpoint:
     record: TrainingRecord
     licence: str
 
-    def prepare(
-        self,
-        garments: PackedGarments,
-        propagation_steps: int | None = None,
-        dtype: torch.dtype = torch.float32,
-    ) -> PreparedGarments:
+    def prepare(self, garments: PackedGarments, propagation_steps: int | None = None) -> PreparedGarments:
         """Prepare the model for garments, warning about resolutions and propagation steps never seen in training.
 
         Args:
             garments: on the device to compute on.
             propagation_steps: override of the number that the resolution asks for.
-            dtype: precision of features and accelerations.
         """
-        prepared = self.model.prepare(garments, propagation_steps, dtype)
+        prepared = self.model.prepare(garments, propagation_steps)
         for garment, steps in zip(garments.garments, prepared.steps, strict=True):
             self.warn_of(garment, steps)
         return prepared

@@ -12,7 +12,6 @@ from pb4u.garment.material import Material
 from pb4u.physics.time_step import require_finite
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import Scene
-from pb4u.scene.state import State
 from pb4u.scene.trajectory import Frame, TrajectoryHeader
 from pb4u.simulation.simulator import RunRecord, written_frame
 from pb4u.simulation.step import Taken
@@ -73,14 +72,6 @@ class LiveRun:
     def written_count(self) -> int:
         """Number of frames after the lead-in."""
         return len(self._kept)
-
-    def written(self, number: int) -> State:
-        """The state of a frame.
-
-        Args:
-            number: of the frame, counted from the first after the lead-in.
-        """
-        return self._kept[number].state
 
     def advance(self, touch: Touch | None = None) -> Frame | None:
         """The next frame; None for one of the lead-in. The body stays as it is after the last frame of the scene.

@@ -141,7 +141,7 @@ class SolverRefinement:
         pressed = self._pressing.minimise(firm.of(step), state.positions, _MOST_PRESSING).positions
         return replace(state, positions=pressed) if contact.depth(step, pressed) < depth else state
 
-    def pressed_past_bodies(self, step: TimeStep, state: State, self_contact: CollisionFree | None) -> State:
+    def pressed_past_bodies(self, step: TimeStep, state: State) -> State:
         """`state` moved past the bodies; what that strains is smoothed with their faces.
 
         Mostly a few iterations of the cloth around it leave no more faces strained than before: far from it nothing
@@ -152,10 +152,9 @@ class SolverRefinement:
         Args:
             step: the time step.
             state: at its end.
-            self_contact: keeps cloth from passing through bodies; None where it may.
         """
         contact = self.potential.self_contact
-        reached = past_bodies(self_contact, step, state, apart=contact is not None)
+        reached = past_bodies(contact, step, state, apart=True)
         felt = contact is not None and contact.feels_bodies
         aside = (reached.positions - state.positions).norm(dim=1)
         least = (_OF_AN_EDGE * step.garments.vertex_edge_lengths).clamp_max(_TURNED_ASIDE)
@@ -175,7 +174,7 @@ class SolverRefinement:
         states, solution = [reached, step.turned_aside(reached, smoothed.positions)], smoothed
 
         def solve(part: TimeStep) -> Solution:
-            start = past_bodies(self_contact, part, part.reached(self._warm_start.positions(part)), apart=False)
+            start = past_bodies(contact, part, part.reached(self._warm_start.positions(part)), apart=False)
             smooth = _Smoothing(part, allowed=pinched)
             return self._pressing.minimise(
                 pressed.of(part), start.positions, _most_iterations(step), until=smooth.ended
@@ -199,7 +198,6 @@ class ImplicitSteps(SolverRefinement):
     Args:
         potential: the energies.
         iterations: at most this many an implicit step; None goes to the solver's tolerance.
-        solver: computes in float64 on the CPU.
         watch: called with the solution of every step, as `implicit_steps` tells of it.
         start: gives the positions (vertices, 3) [m] that each implicit step starts from.
         retried: called with the solution of every retry of a step.
@@ -209,12 +207,11 @@ class ImplicitSteps(SolverRefinement):
         self,
         potential: IncrementalPotential,
         iterations: int | None = None,
-        solver: Solver | None = None,
         watch: Callable[[Solution], None] | None = None,
         start: Callable[[TimeStep], Tensor] = free_flight,
         retried: Callable[[Solution], None] | None = None,
     ) -> None:
-        super().__init__(potential, iterations, solver, retried)
+        super().__init__(potential, iterations, retried=retried)
         self.watch, self.start = watch, start
 
     def refine(self, step: TimeStep, predicted: State) -> State:

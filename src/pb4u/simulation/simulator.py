@@ -238,13 +238,9 @@ def written_frame(scene: Scene, state: State) -> Frame:
     positions, velocities = (
         values.detach().cpu().numpy().astype(np.float32) for values in (state.positions, state.velocities)
     )
-    return Frame(positions, velocities, _body_positions(scene, min(state.frame, scene.total_frames - 1)))
-
-
-def _body_positions(scene: Scene, frame: int) -> np.ndarray:
-    """Vertices (body vertices, 3) float32 [m] of all bodies at a frame."""
-    positions = [body.positions(frame, frame + 1)[0].numpy() for body in scene.colliders]
-    return np.concatenate([np.zeros((0, 3), dtype=np.float32), *positions])
+    frame = min(state.frame, scene.total_frames - 1)
+    bodies = [body.positions(frame, frame + 1)[0].numpy() for body in scene.colliders]
+    return Frame(positions, velocities, np.concatenate([np.zeros((0, 3), dtype=np.float32), *bodies]))
 
 
 def _heading(scene: Scene) -> float:

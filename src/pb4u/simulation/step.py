@@ -125,7 +125,7 @@ def take(step: TimeStep, method: StepMethod, last_move: Tensor | None = None) ->
         outside = (
             past_bodies(cloth, step, state, apart=True)
             if refinement is None
-            else refinement.pressed_past_bodies(step, state, cloth)
+            else refinement.pressed_past_bodies(step, state)
         )
         # Where one is through cloth already, no energy leads it back.
         after = outside if contact is None else contact.cleared(step, outside, cloth)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Protocol
@@ -160,11 +161,8 @@ class Timeline:
         Args:
             garments: one for each of its own, in their order.
         """
-        before = self.garments
-        packed = pack(garments, before.dtype, before.device, before.worlds)
-        around = self.dt, self.environment, self.integrator
-        other = Timeline(packed, self.colliders, self._body, self._skinned, *around)
-        other._poses = self._poses
+        before, other = self.garments, copy.copy(self)
+        other.garments = pack(garments, before.dtype, before.device, before.worlds)
         return other
 
     def to(self, device: torch.device, capacities: Capacities) -> Timeline:

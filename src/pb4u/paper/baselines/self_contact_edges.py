@@ -72,8 +72,7 @@ def as_points(positions: Tensor) -> np.ndarray:
     Args:
         positions: (vertices, 3) [m].
     """
-    points: np.ndarray = positions.detach().to("cpu", torch.float64).numpy()
-    return points
+    return positions.detach().to("cpu", torch.float64).numpy()
 
 
 @dataclass(frozen=True)

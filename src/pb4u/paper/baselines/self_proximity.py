@@ -84,8 +84,7 @@ def nearest_corners(
     """
     corners = faces[pair_faces]
     away = np.linalg.norm(positions[corners] - positions[pair_vertices][:, None], axis=2)
-    nearest: np.ndarray = np.take_along_axis(corners, away.argmin(axis=1)[:, None], axis=1)[:, 0]
-    return nearest
+    return np.take_along_axis(corners, away.argmin(axis=1)[:, None], axis=1)[:, 0]
 
 
 class SelfProximity:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -239,19 +239,27 @@ def nearest_planes(
         patience: largest displacement [m] of a vertex since its query.
     """
     if _compiled(pose):
-        return _of_found(_renewed(pose, garments, x, within, patience), x)
+        _, *nearest = _renewed(pose, garments, x, within, patience)
+        return _planes(map(torch.from_numpy, nearest), x, looped=x.dtype == torch.float64)
     batch = pose.batch(garments.world_count)
     if batch is None:
         return no_planes(x)
     places, _, rows = garments.world_rows
     near = batch.closest(x.detach().to(torch.float64)[places], pose.colliders.capacities)
+    return _planes((values[rows] for values in vars(near).values()), x)
+
+
+def _planes(nearest: Iterable[Tensor], x: Tensor, looped: bool = False) -> ContactPlanes:
+    """The planes of the `nearest` points, six values in the order of `NearestPoints`, in the data type of `x`."""
+    triangle, barycentric, positions, normals, distances, beyond = nearest
     return ContactPlanes(
-        points=near.positions[rows].to(x),
-        normals=near.normals[rows].to(x),
-        distance=near.signed_distance[rows].to(x),
-        touchable=~near.beyond_border[rows],
-        triangle=near.triangle[rows],
-        barycentric=near.barycentric[rows].to(x),
+        points=positions.to(x),
+        normals=normals.to(x),
+        distance=distances.to(x),
+        touchable=~beyond,
+        triangle=triangle,
+        barycentric=barycentric.to(x),
+        looped=looped,
     )
 
 
@@ -280,20 +288,6 @@ def _lead(pose: ColliderPose, garments: PackedGarments, planes: ContactPlanes) -
     if _compiled(pose) and garments.whole not in pose.found:
         points = as_float64(planes.transported(pose))
         pose.found[garments.whole] = Found.nothing(len(points), points)
-
-
-def _of_found(found: Found, x: Tensor) -> ContactPlanes:
-    """The planes that were found, in the data type of `x`."""
-    _, triangle, barycentric, positions, normals, distances, beyond = (torch.from_numpy(values) for values in found)
-    return ContactPlanes(
-        points=positions.to(x),
-        normals=normals.to(x),
-        distance=distances.to(x),
-        touchable=~beyond,
-        triangle=triangle,
-        barycentric=barycentric.to(x),
-        looped=x.dtype == torch.float64,
-    )
 
 
 def no_planes(x: Tensor) -> ContactPlanes:

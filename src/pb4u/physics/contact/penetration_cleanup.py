@@ -182,10 +182,7 @@ def _skin(pose: ColliderPose, x: np.ndarray, own: slice, world: int) -> tuple[np
     if surface is None or not len(cloth):
         return np.zeros((0, 3)), np.zeros((0, 3))
     low, high = cloth.min(axis=0) - SKIN_OVER_CLOTH, cloth.max(axis=0) + SKIN_OVER_CLOTH
-    skin: tuple[np.ndarray, np.ndarray] = vertices_within(
-        as_float64(surface.vertices), surface.surface.region_faces, low, high
-    )
-    return skin
+    return vertices_within(as_float64(surface.vertices), surface.surface.region_faces, low, high)
 
 
 def _body(pose: ColliderPose, planes: ContactPlanes, world: int) -> Body:

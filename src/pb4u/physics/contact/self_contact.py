@@ -238,8 +238,7 @@ class TouchingCloth:
     def pressures(self) -> np.ndarray:
         """Pressure (pairs,) of the barrier over its stiffness; minus its derivative by the share of the room."""
         s = np.clip((self.distances - self.gaps) / (self.reaches - self.gaps), _PRESSED, 1.0)
-        pressures: np.ndarray = (1.0 - s) ** 2 / s - 2.0 * (1.0 - s) * np.log(s)
-        return pressures
+        return (1.0 - s) ** 2 / s - 2.0 * (1.0 - s) * np.log(s)
 
 
 @dataclass(frozen=True)

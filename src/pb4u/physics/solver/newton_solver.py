@@ -112,7 +112,7 @@ class Iteration:
 
 
 class Solver:
-    """Minimises step potentials; keeps data that depend on the garments alone from one step to the next.
+    """Minimises step potentials; keeps data that depend on the garments alone, and the preconditioner, between steps.
 
     Computes on the CPU, in float64 but for the linear solves, which are in float32.
 
@@ -160,50 +160,39 @@ class Solver:
             DivergedError: `start` or its energy is not finite.
         """
         self._prepare(potential)
-        with without_library_threads():
-            return self._minimise(potential, start, iterations, watch, until, begun)
-
-    def _minimise(
-        self,
-        potential: StepPotential,
-        start: Tensor,
-        iterations: int | None,
-        watch: Callable[[Iteration], None] | None,
-        until: Callable[[Tensor], bool] | None,
-        begun: Tensor | None,
-    ) -> Solution:
-        garments = potential.step.garments
+        garments, frame = potential.step.garments, potential.step.state.frame + 1
         limit = self.max_iterations if iterations is None else iterations
         if not bool(torch.isfinite(start).all()):
-            raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")
-        # What was asked for may cross, where contact between cloths has no finite energy to compare.
-        lifted = moved_off_the_body(potential.without_cloth(), start)
-        potential, start = _reached(potential, lifted, potential.step.state.positions if begun is None else begun)
-        cloth = potential.contacts.cloth
-        contact = TrackedContact(potential, start)
-        x, iteration, damping_level, decrease, ended = start, 0, -1, float("inf"), False
-        while True:
-            stiffness = potential.begin_stiffness(x, self._pattern) if iteration < limit else None
-            frozen = contact.potential_at(x).with_cloth(cloth)
-            energies, gradient = frozen.energies_and_gradient(x)
-            gradient = torch.where(self._free[:, None], gradient, 0.0)
-            residual, total = self._residual(gradient), float(energies.total)
-            if not np.isfinite(residual) or not np.isfinite(total):
-                raise DivergedError(potential.step.state.frame + 1, "the solver met positions without finite energy")
-            if watch is not None:
-                watch(Iteration(iteration, total, residual))
-            solved = residual <= self.tolerance and (iteration >= self.least or residual <= _STILL)
-            if solved or iteration >= limit or decrease < self.settled or ended:
-                return Solution(x, energies, frozen.struck(x), residual, iteration, solved, decrease)
-            highest = min(damping_level + 1, len(_DAMPING_LEVELS) - 1)
-            newton, damping_level = self._direction(frozen, x, gradient, stiffness, highest)
-            moved = self._line_search(frozen, x, gradient, energies.per_world(garments), newton)
-            if moved is None:
-                return Solution(x, energies, frozen.struck(x), residual, iteration, False, decrease)
-            x, cloth, energy = moved
-            decrease = float((energy / garments.world_weights).max())
-            iteration += 1
-            ended = until is not None and until(x)
+            raise DivergedError(frame, "the solver was started where a position is not finite")
+        with without_library_threads():
+            # What was asked for may cross, where contact between cloths has no finite energy to compare.
+            lifted = moved_off_the_body(potential.without_cloth(), start)
+            potential, start = _reached(potential, lifted, potential.step.state.positions if begun is None else begun)
+            cloth = potential.contacts.cloth
+            contact = TrackedContact(potential, start)
+            x, iteration, damping_level, decrease, ended = start, 0, -1, float("inf"), False
+            while True:
+                stiffness = potential.begin_stiffness(x, self._pattern) if iteration < limit else None
+                frozen = contact.potential_at(x).with_cloth(cloth)
+                energies, gradient = frozen.energies_and_gradient(x)
+                gradient = torch.where(self._free[:, None], gradient, 0.0)
+                residual, total = self._residual(gradient), float(energies.total)
+                if not np.isfinite(residual) or not np.isfinite(total):
+                    raise DivergedError(frame, "the solver met positions without finite energy")
+                if watch is not None:
+                    watch(Iteration(iteration, total, residual))
+                solved = residual <= self.tolerance and (iteration >= self.least or residual <= _STILL)
+                if solved or iteration >= limit or decrease < self.settled or ended:
+                    return Solution(x, energies, frozen.struck(x), residual, iteration, solved, decrease)
+                highest = min(damping_level + 1, len(_DAMPING_LEVELS) - 1)
+                newton, damping_level = self._direction(frozen, x, gradient, stiffness, highest)
+                moved = self._line_search(frozen, x, gradient, energies.per_world(garments), newton)
+                if moved is None:
+                    return Solution(x, energies, frozen.struck(x), residual, iteration, False, decrease)
+                x, cloth, energy = moved
+                decrease = float((energy / garments.world_weights).max())
+                iteration += 1
+                ended = until is not None and until(x)
 
     def _prepare(self, potential: StepPotential) -> None:
         garments, elements = potential.step.garments, potential.elements()

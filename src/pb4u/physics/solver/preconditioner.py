@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from pb4u.collision.jit import compiled_with_fused_products
-from pb4u.collision.lanes import as_doubles, block_at, lane, lanes_at, padded, put_lanes, spread, sum_of_three
+from pb4u.collision.lanes import as_doubles, block_at, lane, lanes_at, put_lanes, spread, sum_of_three
 from pb4u.physics.terms.pair_stiffness import PairStiffness
 from pb4u.physics.terms.stiffness_matrix import SymmetricBlocks
 from pb4u.scene.packed import PackedGarments
@@ -106,7 +106,7 @@ def _starts(ascending: np.ndarray, count: int) -> np.ndarray:
 
 
 class TwoLevelPreconditioner:
-    """An additive preconditioner for one stiffness matrix; its coarse part may serve later matrices of the same step.
+    """An additive preconditioner for one stiffness matrix; its coarse part may serve later matrices.
 
     Args:
         basis: patch motions.
@@ -170,12 +170,6 @@ class TwoLevelPreconditioner:
         """Inverses (vertices, 3, 3) and (coarse, coarse) [m/N]; the functions by patch, and by vertex."""
         return self._fine_inverse, self._coarse_inverse, self._by_patch, self._by_vertex
 
-    def __call__(self, residual: np.ndarray) -> np.ndarray:
-        """Approximate solution (vertices, 3) [m] for `residual` (vertices, 3) [N]."""
-        result = np.empty((len(residual), 4), self._precision)
-        precondition(self.parts, padded(residual, self._precision), result)
-        return result[:, :3]
-
 
 class AgeingPreconditioner:
     """The preconditioner of some garments: its diagonal is always new, its patches when they have aged.
@@ -235,8 +229,7 @@ def _inverse(matrix: np.ndarray) -> np.ndarray:
     # Twenty times faster than the eigenvectors, and the usual case; a quarter of what solving for the identity takes.
     factor, failed = torch.linalg.cholesky_ex(tensor + shift * torch.eye(len(tensor), dtype=tensor.dtype))
     if not bool(failed):
-        inverse: np.ndarray = torch.cholesky_inverse(factor).numpy()
-        return inverse
+        return torch.cholesky_inverse(factor).numpy()
     values, vectors = np.linalg.eigh(matrix)
     is_regular = values > 1e-9 * values[-1]
     return (vectors[:, is_regular] / values[is_regular]) @ vectors[:, is_regular].T

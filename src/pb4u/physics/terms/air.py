@@ -168,5 +168,4 @@ def _eddies(seed: int) -> tuple[Tensor, Tensor, Tensor]:
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
     """`vectors` (n, 3) of length 1."""
-    lengthened: np.ndarray = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    return lengthened
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

@@ -41,11 +41,9 @@ class ClothContact(EnergyTerm):
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         if contacts.cloth is None:
             return x.new_zeros(step.garments.garment_count)
-        energies: Tensor = _Barrier.apply(x, step, contacts, self)  # type: ignore[no-untyped-call]
-        return energies
+        return _Barrier.apply(x, step, contacts, self)  # type: ignore[no-untyped-call]
 
-    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        return self._added(step, contacts, x)
+    energies_and_gradient = EnergyTerm._added
 
     def add(
         self, step: TimeStep, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray
@@ -75,8 +73,7 @@ class ClothContact(EnergyTerm):
         Args:
             touching: pairs that feel each other.
         """
-        forces: np.ndarray = self.stiffness * touching.areas * touching.pressures
-        return forces
+        return self.stiffness * touching.areas * touching.pressures
 
 
 @dataclass(frozen=True)
@@ -110,8 +107,7 @@ class ClothFriction(EnergyTerm):
         energies = limit * ((across.square().sum(1) + rest * rest).sqrt() - rest)
         return _by_garment(step.garments, touching.sides, energies)
 
-    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        return self._added(step, contacts, x)
+    energies_and_gradient = EnergyTerm._added
 
     def add(
         self, step: TimeStep, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray

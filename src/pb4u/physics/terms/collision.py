@@ -188,7 +188,7 @@ def _follow(
     gradient: np.ndarray,
     missed: np.ndarray,
 ) -> None:
-    """Lay the tangents of all vertices where `moves` lead, as in `Tangent.follow`.
+    """Lay the tangents of all vertices where `moves` lead, as a `Tangent` does.
 
     A vertex that begins at `depths` (vertices,) [m], negative above the clearance, has the tangent of the depth where
     it is `laid` (vertices,) [m], with these `stiffnesses` (vertices,) [N/m]; both are changed. The rest as above.

@@ -36,7 +36,7 @@ class EnergyTerm(ABC):
 
     Attributes:
         name: by which results and tables refer to it.
-        loops: its compiled loops; None for a term without: torch computes it everywhere.
+        loops: its compiled loops; None for a term whose `add` is its own, or that of torch.
         reads_contacts: whether its `records` read the contacts at a step's start.
         pushes_apart: whether it is a contact force, which changes velocities abruptly.
     """
@@ -194,11 +194,9 @@ class CompiledTerm(EnergyTerm):
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         if not x.requires_grad:
             return self._added(step, contacts, x, gradient=False)[0]
-        energies: Tensor = _KnownGradient.apply(x, self, step, contacts)  # type: ignore[no-untyped-call]
-        return energies
+        return _KnownGradient.apply(x, self, step, contacts)  # type: ignore[no-untyped-call]
 
-    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        return self._added(step, contacts, x)
+    energies_and_gradient = EnergyTerm._added
 
     def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor | None:
         return self.term.elements(step, contacts)
@@ -288,13 +286,3 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
     """
     # Four times faster than a sum over so short an axis.
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
-
-
-def columns(x: Tensor, index: Tensor) -> Tensor:
-    """Rows of `x` at `index`, stored axis by axis: (3, n) [m].
-
-    Args:
-        x: (vertices, 3) [m].
-        index: (n,) int64 vertices.
-    """
-    return x.T.contiguous().gather(1, index.expand(3, -1))

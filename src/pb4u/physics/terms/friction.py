@@ -155,9 +155,7 @@ class Friction(EnergyTerm):
             distance = torch.where(on_ground, height, distance)
             anchor = torch.where(on_ground[:, None], before, anchor)
             normal = torch.where(on_ground[:, None], constant(UP, before.dtype, before.device), normal)
-        pressed = torch.zeros_like(distance)
-        if self.load is not None:
-            pressed = self.load.pressing(step, distance)
+        pressed = torch.zeros_like(distance) if self.load is None else self.load.pressing(step, distance)
         force = self._normal_force(step, pressed)
         return torch.where(touching, step.garments.friction * force, 0.0), anchor, normal
 
@@ -210,7 +208,7 @@ def _follow(
     gradient: np.ndarray,
     missed: np.ndarray,
 ) -> None:
-    """Lay the tangents of all vertices where `moves` lead, as in `Tangent.follow`.
+    """Lay the tangents of all vertices where `moves` lead, as a `Tangent` does.
 
     The force is taken to be T W s times the limit over a smoothed length (vertices,) [m] of the slip, 0 where it is the
     tangent of `_vertex` yet: that length is changed to the one where the moves lead. The rest as there.

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pb4u.collision.jit import compiled_with_fused_products
-from pb4u.collision.lanes import lanes_at, padded, put_lanes, spread, sum_of_three
+from pb4u.collision.lanes import lanes_at, put_lanes, spread, sum_of_three
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +44,6 @@ class PairStiffness:
 
     def __len__(self) -> int:
         return len(self.corners)
-
-    def __matmul__(self, vector: np.ndarray) -> np.ndarray:
-        """Product (vertices, 3) [N] with a `vector` (vertices, 3) [m]."""
-        product = np.zeros((len(vector), 4))
-        add_product(self.corners, padded(self.rows.reshape(-1, 3), np.float64), padded(vector, np.float64), product)
-        return product[:, :3]
 
     def add_diagonal(self, blocks: np.ndarray) -> None:
         """Add the diagonal blocks of this matrix to `blocks` (vertices, 3, 3) [N/m].

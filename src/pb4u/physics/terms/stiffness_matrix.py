@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
-from typing import Any
 
 import numpy as np
 import torch
@@ -17,7 +16,6 @@ from pb4u.collision.lanes import (
     block_at,
     lane,
     lanes_at,
-    padded,
     put_lanes,
     spread,
     sum_of_three,
@@ -145,23 +143,7 @@ class SymmetricBlocks:
     @property
     def diagonal(self) -> np.ndarray:
         """Diagonal blocks (vertices, 3, 3) [N/m], a copy."""
-        blocks: np.ndarray = self.blocks[self.starts[:-1]]
-        return blocks
-
-    def __matmul__(self, vector: np.ndarray) -> np.ndarray:
-        """Product (vertices, 3) [N] with a `vector` (vertices, 3) [m]."""
-        product = np.empty((len(vector), 4), self.blocks.dtype)
-        multiply(self.starts, self.columns, self.blocks, padded(vector, self.blocks.dtype), product)
-        return product[:, :3]
-
-    def toarray(self) -> Any:
-        """The whole matrix (3 vertices, 3 vertices) [N/m]."""
-        count = len(self.starts) - 1
-        rows = np.repeat(np.arange(count), np.diff(self.starts))
-        dense = np.zeros((count, 3, count, 3))
-        dense[self.columns, :, rows] = self.blocks.transpose(0, 2, 1)
-        dense[rows, :, self.columns] = self.blocks
-        return dense.reshape(3 * count, 3 * count)
+        return self.blocks[self.starts[:-1]]
 
 
 def _pair_keys(elements: Tensor, count: int) -> Tensor:

@@ -11,7 +11,7 @@ from torch import Tensor
 from pb4u.collision.jit import as_float64
 from pb4u.physics.contact.contact_set import ContactSet
 from pb4u.physics.terms.element_loops import GRADIENT, VALUE, Record, element_loops, rows
-from pb4u.physics.terms.energy_term import EnergyTerm, columns, sum_by_garment
+from pb4u.physics.terms.energy_term import EnergyTerm, sum_by_garment
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
 
@@ -163,7 +163,8 @@ def green_strains(garments: PackedGarments, x: Tensor) -> Tensor:
 
 def _strains(garments: PackedGarments, x: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor]]:
     """Green strains (3, faces), and where both axes of the rest shape lead, (3, faces) each."""
-    a, b, c = columns(x, garments.faces.T.reshape(-1)).reshape(3, 3, -1).unbind(1)
+    corners = garments.faces.T.reshape(-1).expand(3, -1)
+    a, b, c = x.T.contiguous().gather(1, corners).reshape(3, 3, -1).unbind(1)
     e1, e2, d = b - a, c - a, garments.inverse_rest_shape
     u, v = e1 * d[:, 0, 0] + e2 * d[:, 1, 0], e1 * d[:, 0, 1] + e2 * d[:, 1, 1]
     along = 0.5 * ((u * u).sum(0) - 1.0), 0.5 * ((v * v).sum(0) - 1.0), 0.5 * (u * v).sum(0)
