@@ -38,7 +38,7 @@ _PIECES = 4
 """Pieces in which threads look through a list of pairs: as many as of the surface."""
 
 _HALVED = 2
-"""How often the surface is halved for the parts that threads search, twice more beside obstacles."""
+"""How often the surface is halved for the parts that threads search, and where it meets obstacles as often again."""
 
 
 class _Fitted(NamedTuple):
@@ -286,8 +286,11 @@ class SurfaceTree:
     def _parts(self) -> np.ndarray:
         """Pairs (parts, 2) int64 of nodes, a search of all of which, one after another, is one of everything."""
         parts = [(root, root) for root in self.boxes.roots]
-        for _ in range(_HALVED + 2 * (self.first_obstacle < len(self.rest))):
+        for _ in range(_HALVED):
             parts = [finer for part in parts for finer in self.boxes.halves(*part)]
+        if self.first_obstacle < len(self.rest):
+            for _ in range(_HALVED):
+                parts = [finer for a, b in parts for finer in (self.boxes.halves(a, b) if a != b else [(a, b)])]
         return np.asarray(parts, dtype=np.int64).reshape(-1, 2)
 
 
