@@ -50,6 +50,10 @@ def to_device(values: torch.Tensor, device: torch.device) -> torch.Tensor:
     return (values.pin_memory() if device.type == "cuda" else values).to(device, non_blocking=True)
 
 
+_alone = local()
+"""Whether operations are kept on a thread already: to do so takes as long as a small part of a step."""
+
+
 @contextmanager
 def without_library_threads() -> Iterator[None]:
     """Keep operations of torch, and products of numpy and scipy, on the thread that asks for them.
@@ -66,10 +70,6 @@ def without_library_threads() -> Iterator[None]:
             yield
         finally:
             _alone.kept = False
-
-
-_alone = local()
-"""Whether operations are kept on a thread already: to do so takes as long as a small part of a step."""
 
 
 class _ProductsLimited:

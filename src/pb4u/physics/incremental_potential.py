@@ -107,7 +107,7 @@ class IncrementalPotential:
         if self.search is nearest_planes:
             contacts = step.contacts if heights is None else step.raised_contacts
         else:
-            contacts = step.contacts_by(self.search).over(heights)
+            contacts = step.contacts_by(self.search).raised_by(heights)
         terms = tuple(term for term in self.terms if term.acts_on(step))
         if step.is_on_a_processor:
             terms = tuple(term.compiled(step, contacts) for term in terms)

@@ -114,7 +114,7 @@ class TimeStep:
     @cached_property
     def raised_contacts(self) -> ContactSet:
         """The same, the planes of the bodies raised by `sags`."""
-        return self.contacts.over(self.sags)
+        return self.contacts.raised_by(self.sags)
 
     @cached_property
     def records(self) -> dict[Any, Any]:

@@ -177,7 +177,7 @@ class ContactSet:
     obstacle: Obstacle | None = None
     raised: Tensor | None = None
 
-    def over(self, heights: Tensor | None) -> ContactSet:
+    def raised_by(self, heights: Tensor | None) -> ContactSet:
         """These contacts with the planes that vertices may slide on raised; the same without heights or planes.
 
         Args:
