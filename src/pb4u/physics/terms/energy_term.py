@@ -177,6 +177,7 @@ class CompiledTerm(EnergyTerm):
         self.term, self.name, self._loops = term, term.name, loops
         self.pushes_apart = term.pushes_apart
         self._made_for = step, contacts
+        self._size = 0
 
     @cached_property
     def _records_at(self) -> Callable[[ContactSet], Sequence[Record]]:
@@ -208,7 +209,9 @@ class CompiledTerm(EnergyTerm):
             self._loops.add(x, *record, energies, gradient)
 
     def size(self, contacts: ContactSet) -> int:
-        return sum(record.corners.size for record in self._records_at(contacts))
+        # Elements are the same all step; some records are made for each of the contacts.
+        self._size = self._size or sum(record.corners.size for record in self._records_at(contacts))
+        return self._size
 
     def add_stiffness(self, contacts: ContactSet, x: np.ndarray, slots: np.ndarray, stiffness: Stiffness) -> None:
         """Add the second derivative, or an approximation.
