@@ -171,6 +171,40 @@ def test_cloth_is_smoothed_where_more_of_it_is_strained_than_before_bodies_turne
     assert record.retried == retried
 
 
+@pytest.mark.parametrize(("before", "after", "solved"), [(0, 0, "turned"), (9, 9, "turned"), (0, 9, "solved")])
+def test_the_whole_step_is_solved_where_bodies_were_let_through_cloth(
+    monkeypatch: pytest.MonkeyPatch, before: int, after: int, solved: str
+) -> None:
+    """Cloth that a limb has come through need not be strained, and no later step leads it back."""
+    potential = IncrementalPotential().with_self_contact(bodies=True)
+    step = first_step(4.0, potential)
+    refining, behind = SolverRefinement(potential, 5), step.reached(free_flight(step))
+    turned = past_bodies(potential.self_contact, step, behind, apart=True)
+    anew = step.reached(turned.positions + 0.01)
+
+    def passed(_: TimeStep, x: torch.Tensor | None = None) -> torch.Tensor:
+        count = before if x is None else after if torch.equal(x, turned.positions) else 0
+        return torch.arange(len(turned.positions)) < count
+
+    monkeypatch.setattr(refinement, "_passed", passed)
+    monkeypatch.setattr(refinement, "_are_failed", lambda step, _: torch.zeros(len(step.garments.faces), dtype=bool))
+    monkeypatch.setattr(refining._local, "minimise", lambda *_, **__: turned)
+    monkeypatch.setattr(refinement, "in_parts", lambda *_: (anew, None))
+    kept = refining.pressed_past_bodies(step, behind)
+    assert torch.equal(kept.positions, {"turned": turned, "solved": anew}[solved].positions)
+
+
+def test_vertices_that_a_body_is_through_are_counted_before_and_after_a_step() -> None:
+    step = first_step(4.0, IncrementalPotential().with_self_contact(bodies=True))
+    assert not refinement._passed(step).any()
+    sunk = step.state.positions - torch.tensor([0.0, 0.02, 0.0])
+    through = refinement._passed(step, sunk)
+    inside = (sunk - step.bodies.following.positions.mean(0)).norm(dim=1) < 0.2
+    assert bool(inside.any())
+    assert bool(through[inside].all())
+    assert not bool(through.all())
+
+
 def test_a_retry_moves_the_cloth_around_what_bodies_turned_aside(monkeypatch: pytest.MonkeyPatch) -> None:
     potential = IncrementalPotential().with_self_contact(bodies=True)
     step = first_step(4.0, potential)

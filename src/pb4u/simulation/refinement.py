@@ -12,6 +12,7 @@ from torch import Tensor
 
 from pb4u.collision.near_elements import beside
 from pb4u.geometry.principal_stretch import face_strains
+from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import free_flight, implicit_steps, in_parts, substep_count
@@ -83,8 +84,9 @@ _SMOOTHED = 0.5
 leave some too."""
 
 _LEFT = 2e-3
-"""Share of all faces that smoothing may leave strained. A solve of the whole step, which takes as long as ten steps,
-leaves fewer of so few in one case of three, and more in another; a running dress of 38,000 triangles needs it."""
+"""Strained faces and vertices newly let through that smoothing may leave, as a share of all faces. A solve of the whole
+step, which takes as long as ten steps, leaves fewer of so few in one case of three, and more in another; a running
+dress of 38,000 triangles needs it, and trousers of 11,000, where a shin would come through a thousand vertices."""
 
 _TURNED_ASIDE, _OF_AN_EDGE = 1e-2, 0.37
 """How far bodies may turn strained cloth aside before the energies count their faces and edges: a length [m], and on
@@ -145,9 +147,10 @@ class SolverRefinement:
         """`state` moved past the bodies; what that strains is smoothed with their faces.
 
         Mostly a few iterations of the cloth around it leave no more faces strained than before: far from it nothing
-        has changed. They end where fewer than half of those go. Where many are left, all of the step is solved from the
-        body-motion warm start, in parts where the body moves by many edges. Of what limbs pinch some stay strained in
-        every step, however it is solved. The state with the fewest strained faces is kept.
+        has changed. They end where fewer than half of those go. Where many are left, or bodies were let through much
+        of the cloth, all of the step is solved from the body-motion warm start, in parts where the body moves by many
+        edges. Of what limbs pinch some stay strained in every step, however it is solved. The state with the fewest
+        faces strained and vertices let through is kept.
 
         Args:
             step: the time step.
@@ -162,11 +165,16 @@ class SolverRefinement:
             return reached
         garments, are_failed = step.garments, _are_failed(step, reached.positions)
         failed, pinched = int(are_failed.sum()), _failed_faces(step, state.positions)
-        if failed <= pinched:
+        few, began = _LEFT * len(garments.faces), pinched + int(_passed(step).sum())
+
+        def added(x: Tensor) -> int:
+            return _failed_faces(step, x) + int(_passed(step, x).sum()) - began
+
+        if failed <= pinched and added(reached.positions) <= few:
             return reached
-        pressed, crumpled = self.potential.pressed_by_bodies(), aside > least
-        crumpled[garments.faces[are_failed].reshape(-1)] = True
-        around = step.around(_near(garments, crumpled))
+        caught = _passed(step, reached.positions) & ~_passed(step)
+        caught[garments.faces[are_failed].reshape(-1)] = True
+        pressed, around = self.potential.pressed_by_bodies(), step.around(_near(garments, caught | (aside > least)))
         smooth, most = _Smoothing(step, allowed=pinched, failed=failed, share=_SMOOTHED), _most_iterations(around)
         smoothed = self._local.minimise(
             pressed.of(around), reached.positions, most, until=smooth.ended, begun=reached.positions
@@ -180,14 +188,14 @@ class SolverRefinement:
                 pressed.of(part), start.positions, _most_iterations(step), until=smooth.ended
             )
 
-        if _failed_faces(step, smoothed.positions) - pinched > _LEFT * len(garments.faces):
-            strained = garments.vertex_garment[garments.faces[are_failed, 0]]
-            longest = _EDGES_IN_A_PART * min(garments.mean_edge_lengths[number] for number in set(strained.tolist()))
+        if added(smoothed.positions) > few:
+            concerned = set(garments.vertex_garment[caught].tolist())
+            longest = _EDGES_IN_A_PART * min(garments.mean_edge_lengths[number] for number in concerned)
             retried, solution = in_parts(step, substep_count(step, longest), solve)
             states.append(retried)
         if self.retried:
             self.retried(solution)
-        return min(states, key=lambda end: _failed_faces(step, end.positions))
+        return min(states, key=lambda end: added(end.positions))
 
 
 class ImplicitSteps(SolverRefinement):
@@ -307,6 +315,15 @@ def _near(garments: PackedGarments, vertices: Tensor) -> Tensor:
         grown[beside(edges, near)] = True
         near = grown
     return torch.from_numpy(near)
+
+
+def _passed(step: TimeStep, x: Tensor | None = None) -> Tensor:
+    """Vertices (vertices,) bool that bodies are through at the end of a step, at `x` (vertices, 3) [m], or before."""
+    obstacle, bodies = step.obstacle, step.bodies
+    if x is not None and bodies is not None:
+        obstacle = Obstacle.at(step.garments, bodies.following, x)
+    passed = np.zeros(0, dtype=bool) if obstacle is None else obstacle.passed
+    return torch.from_numpy(passed[: len(step.garments.rest_positions)])
 
 
 def _failed_faces(step: TimeStep, x: Tensor) -> int:
