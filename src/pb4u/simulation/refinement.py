@@ -165,21 +165,24 @@ class SolverRefinement:
             return reached
         garments, are_failed = step.garments, _are_failed(step, reached.positions)
         failed, pinched = int(are_failed.sum()), _failed_faces(step, state.positions)
-        few, began = _LEFT * len(garments.faces), pinched + int(_passed(step).sum())
+        before, few = _passed(step), _LEFT * len(garments.faces)
+        began = pinched + int(before.sum())
 
-        def added(x: Tensor) -> int:
-            return _failed_faces(step, x) + int(_passed(step, x).sum()) - began
+        def added(end: State) -> int:
+            return _failed_faces(step, end.positions) + int(_passed(step, end.positions).sum()) - began
 
-        if failed <= pinched and added(reached.positions) <= few:
+        ends = [(added(reached), reached)]
+        if failed <= pinched and ends[0][0] <= few:
             return reached
-        caught = _passed(step, reached.positions) & ~_passed(step)
+        caught = _passed(step, reached.positions) & ~before
         caught[garments.faces[are_failed].reshape(-1)] = True
         pressed, around = self.potential.pressed_by_bodies(), step.around(_near(garments, caught | (aside > least)))
         smooth, most = _Smoothing(step, allowed=pinched, failed=failed, share=_SMOOTHED), _most_iterations(around)
         smoothed = self._local.minimise(
             pressed.of(around), reached.positions, most, until=smooth.ended, begun=reached.positions
         )
-        states, solution = [reached, step.turned_aside(reached, smoothed.positions)], smoothed
+        solution, turned = smoothed, step.turned_aside(reached, smoothed.positions)
+        ends.append((added(turned), turned))
 
         def solve(part: TimeStep) -> Solution:
             start = past_bodies(contact, part, part.reached(self._warm_start.positions(part)), apart=False)
@@ -188,14 +191,14 @@ class SolverRefinement:
                 pressed.of(part), start.positions, _most_iterations(step), until=smooth.ended
             )
 
-        if added(smoothed.positions) > few:
+        if ends[-1][0] > few:
             concerned = set(garments.vertex_garment[caught].tolist())
             longest = _EDGES_IN_A_PART * min(garments.mean_edge_lengths[number] for number in concerned)
             retried, solution = in_parts(step, substep_count(step, longest), solve)
-            states.append(retried)
+            ends.append((added(retried), retried))
         if self.retried:
             self.retried(solution)
-        return min(states, key=lambda end: added(end.positions))
+        return min(ends, key=lambda end: end[0])[1]
 
 
 class ImplicitSteps(SolverRefinement):
@@ -321,7 +324,8 @@ def _passed(step: TimeStep, x: Tensor | None = None) -> Tensor:
     """Vertices (vertices,) bool that bodies are through at the end of a step, at `x` (vertices, 3) [m], or before."""
     obstacle, bodies = step.obstacle, step.bodies
     if x is not None and bodies is not None:
-        obstacle = Obstacle.at(step.garments, bodies.following, x)
+        # What is kept of queries bounds later ones, which round differently then.
+        obstacle = Obstacle.at(step.garments, bodies.following.apart(), x)
     passed = np.zeros(0, dtype=bool) if obstacle is None else obstacle.passed
     return torch.from_numpy(passed[: len(step.garments.rest_positions)])
 
